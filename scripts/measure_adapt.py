@@ -299,7 +299,7 @@ def main() -> None:
         "--scratch", nargs="*", type=float, default=[5, 10, 30, 100], help="seconds trained from scratch"
     )
     parser.add_argument("--row", type=float, default=0, help="adapt to frames in a row too, up to so many seconds")
-    parser.add_argument("--bases", nargs="*", default=["any-camera", "thin-lens-gaze"])
+    parser.add_argument("--bases", nargs="*", default=["thin-lens-gaze"])
     parser.add_argument("--precision", default="float32", choices=["float32", "bf16"])
     parser.add_argument("--work", type=Path, default=Path("adapt-work"))
     parser.add_argument(

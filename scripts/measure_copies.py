@@ -72,11 +72,16 @@ class Films:
     processes: int
 
     @classmethod
-    def of(cls, kind: str, work: Path, processes: int) -> Films:
-        """Of each label of the set once: its videos of the same camera differ in the gazes alone."""
+    def of(cls, kind: str, work: Path, processes: int, longest: float | None = None) -> Films:
+        """Of each label of the set once: its videos of the same camera differ in the gazes alone.
+
+        `longest` leaves out longer focal lengths.
+        """
         recipe = SETS[kind]
         scene = load_scene(kind, recipe.settings.get("paper", ()))
         labels = {json.dumps(dict(own)): dict(own) for _, own in recipe.videos}
+        if longest is not None:
+            labels = {key: own for key, own in labels.items() if float(own.get("focal_length", 0)) <= longest}
         placed = tuple(
             (with_values(scene, {FIELDS[key]: value for key, value in own.items()}) if own else scene, own)
             for own in labels.values()
@@ -128,6 +133,13 @@ def told(model: Any, frames: xr.Dataset, names: Sequence[str]) -> dict[str, Any]
     rng = np.random.default_rng(0)
     draws = [np.concatenate([rows[n] for n in rng.integers(0, len(rows), len(rows))]) for _ in range(DRAWS)]
     spread = np.quantile([np.abs(error[one]).mean(axis=0) for one in draws], [0.05, 0.95], axis=0)
+    # What an RR hardly shows of a gaze is its sign: estimates that are nearer to the opposite gaze.
+    turned = np.abs(found.value + truth)
+    nearer = np.hypot(*turned.T) < np.hypot(*error.T)
+    sign = {
+        "opposite": float(nearer.mean()),
+        "mae_but_for_sign": np.where(nearer[:, None], turned, np.abs(error)).mean(axis=0).tolist(),
+    }
     return {
         "copies": len(rows),
         "frames": len(error),
@@ -137,6 +149,7 @@ def told(model: Any, frames: xr.Dataset, names: Sequence[str]) -> dict[str, Any]
         "coverage": ((found.lower <= truth) & (truth <= found.upper)).mean(axis=0).tolist(),
         "answered": float(np.mean(found.applies)),
         "guess": np.abs(truth - truth.mean(axis=0)).mean(axis=0).tolist(),
+        **(sign if "gaze_x" in names else {}),
     }
 
 
@@ -150,6 +163,8 @@ def main() -> None:
     parser.add_argument("--passes", type=int, default=100_000, help="passes over frames of each training")
     parser.add_argument("--tested", type=int, default=8, help="copies to test on")
     parser.add_argument("--test-frames", type=int, default=72, help="frames of each copy that are tested on")
+    parser.add_argument("--longest", type=float, help="leave longer focal lengths out, in metres")
+    parser.add_argument("--size", type=int, help="side of the networks' images; the page's by default")
     parser.add_argument("--precision", choices=PRECISIONS, default="float32", help="of the networks' products")
     parser.add_argument("--processes", type=int, default=1, help="that film")
     parser.add_argument("--films", action="store_true", help="only film")
@@ -157,9 +172,11 @@ def main() -> None:
     options = parser.parse_args()
     keep_big_blocks()
     kind, out = KINDS[options.set], options.out or Path(f"docs/numbers/copies-{options.set}.json")
-    films = Films.of(options.set, options.work, options.processes)
+    size = options.size or kind.size
+    films = Films.of(options.set, options.work, options.processes, options.longest)
     other = films.frames(range(TEST, TEST + options.tested), options.test_frames)
-    about = {"set": options.set, "seeds": [TRAIN, TEST], "frames": options.frames, "passes": options.passes}
+    told_of = ("set", "frames", "passes", "size", "precision", "longest")
+    about = {**{name: getattr(options, name) for name in told_of}, "seeds": [TRAIN, TEST]}
     rows: list[dict[str, Any]] = []
     for count in options.copies:
         each = options.frames // count
@@ -173,13 +190,13 @@ def main() -> None:
         train, same = (whole.isel(frame=np.flatnonzero(mask)) for mask in (~tested, tested))
         if options.films:
             continue
-        path = options.work / f"model-{options.set}-{count}-{options.frames}-{options.passes}"
+        path = options.work / f"model-{options.set}-{count}-{options.frames}-{options.passes}-{size}"
         if not path.exists():
             epochs = max(1, round(options.passes / train.sizes["frame"]))
             model = ResNet18(
                 kind.target,
                 crop=kind.crop,
-                size=kind.size,
+                size=size,
                 epochs=epochs,
                 batch=kind.batch,
                 precision=options.precision,

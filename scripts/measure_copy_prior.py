@@ -10,8 +10,8 @@ the test part go to docs/numbers/copy-prior.json.
 
 from __future__ import annotations
 
+import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -64,5 +64,9 @@ def main(work: Path, units: list[int]) -> None:
 
 
 if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("work", type=Path)
+    parser.add_argument("units", type=int, nargs="+")
+    options = parser.parse_args()
     keep_big_blocks()
-    main(Path(sys.argv[1]), [int(one) for one in sys.argv[2:]])
+    main(options.work, options.units)
