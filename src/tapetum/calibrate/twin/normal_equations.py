@@ -201,10 +201,6 @@ class Normal:
             near=self.near if near is None else near,
         )
 
-    def scene_at(self, coordinates: Array) -> Scene:
-        """Return the scene with the parameters' coordinates."""
-        return placed(self.scene, self.parameters, coordinates.tolist())
-
     def pictures(self, coordinates: Array) -> Pictures:
         """Return the pictures at some coordinates; the laser's power in them stays the scene's."""
         if self._kept is None or not np.array_equal(self._kept[0], coordinates):

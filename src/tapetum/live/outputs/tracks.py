@@ -57,11 +57,6 @@ class Tracks(Queued):
         self._frame = -1
         self._broken = ""
 
-    @property
-    def unfinished(self) -> Path | None:
-        """Where rows grow; None at the end."""
-        return None if self._writer is None else self._writer.place
-
     def event(self, event: Event) -> None:
         """Events are no rows."""
 
