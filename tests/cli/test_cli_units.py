@@ -13,7 +13,8 @@ import zarr
 
 from tapetum.data import open_dataset
 from tapetum.errors import InputError
-from tapetum.models import load_model
+from tapetum.models import load_model, save_model
+from tapetum.models.intervals import Intervals
 
 UNITS = 10
 
@@ -72,6 +73,27 @@ def test_track_takes_the_intervals_that_are_asked_for(run, chain, copies: Path, 
     # The chain's ridge fits every frame, as in the paper: it has no intervals of its own.
     assert np.isfinite(width("--unit", "other"))
     assert not np.isfinite(width("--unit", "own")) and not np.isfinite(width())
+
+
+def test_a_model_without_intervals_for_copies_says_so_where_the_camera_is_unknown(
+    run, chain, copies: Path, tmp_path: Path
+) -> None:
+    model, none = tmp_path / "m", "it has none for another copy of it"
+    # The chain has too few frames to calibrate any.
+    narrow = load_model(chain.model)
+    narrow.intervals_ = Intervals(np.empty(0), np.full((1, 2), 0.1))
+    save_model(narrow, model)
+    ran = run("evaluate", model, copies)
+    assert ran.code == 0 and none in ran.err and "tapetum calibrate units" in ran.err and none not in ran.out
+    # Neither of its own films, nor where somebody says that it is its camera, nor of a model without intervals.
+    for words in ((model, chain.dataset), (model, copies, "--unit", "own"), (chain.model, copies)):
+        assert none not in run("evaluate", *words).err
+    video = next(chain.recording.glob("probe*"))
+    for source, said in ((chain.recording, False), (video, True)):
+        ran = run("track", source, "--model", model, "-o", tmp_path / "t.csv", "--overwrite")
+        assert ran.code == 0 and (none in ran.err) == said, ran.err
+    told = json.loads(run("track", video, "--model", model, "-o", tmp_path / "t.csv", "--overwrite", "--json").out)
+    assert len(told["unsure"]) == 1 and none in told["unsure"][0]
 
 
 def test_copies_train_a_network_with_their_camera(run, chain, copies: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from tapetum.cli.models import find_model
+from tapetum.cli.models import find_model, warn_of_intervals
 from tapetum.cli.options import AsJson, Device, Force, ModelName, SetPath, Split, WhoseIntervals, option
 from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError
@@ -44,6 +44,7 @@ def evaluate(
         raise InputError(f"unknown kind of report {out.suffix!r}", where=out, remedy=remedy)
     check_output(out, force, None if numbers_alone else "tapetum-evaluation")
     from tapetum.data import open_dataset, split_by
+    from tapetum.data.marks import marks_of
     from tapetum.files import atomic_file
     from tapetum.models import model_card
     from tapetum.report.evaluation import describe, gather, score, write_evaluation
@@ -68,6 +69,7 @@ def evaluate(
         rrs, rrs_at = samples(outcome, data)
         write_evaluation(out, outcome, subject, rrs=rrs, rrs_at=rrs_at, overwrite=force, progress=bar)
     typer.echo(json.dumps(scores) if as_json else describe(scores))
+    warn_of_intervals([model], [fitted.unsure(marks_of(data))])
     if outcome.prediction.unit == "other" and not as_json:
         typer.echo(
             "intervals: those for a copy of the camera that the model was not trained on (--unit own for its own)"

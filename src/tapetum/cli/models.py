@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+import typer
 
 from tapetum.errors import InputError, one_of
 
 if TYPE_CHECKING:
     from tapetum.models import Predictor
 
-__all__ = ["find_model"]
+__all__ = ["find_model", "warn_of_intervals"]
 
 
 def find_model(name: str, device: str = "auto", unit: str | None = None) -> Predictor:
@@ -42,3 +45,11 @@ def find_model(name: str, device: str = "auto", unit: str | None = None) -> Pred
             remedy = "calibrate them: tapetum calibrate units"
             raise InputError(f"{name} has no intervals for another copy of its camera", where="--unit", remedy=remedy)
     return model
+
+
+def warn_of_intervals(names: Sequence[object], unsure: Sequence[str]) -> None:
+    """Say of which models the intervals may be too narrow (`Predictor.unsure`), and what to do."""
+    for name, why in zip(names, unsure, strict=True):
+        if why:
+            remedy = "`--unit own` says that it shows that camera, `tapetum calibrate units` makes intervals for others"
+            typer.echo(f"note: {name}: {why}: {remedy}", err=True)

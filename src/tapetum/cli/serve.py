@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tapetum.cli.models import find_model
+from tapetum.cli.models import find_model, warn_of_intervals
 from tapetum.cli.options import Device, Models, WhoseIntervals, option
 from tapetum.durable import sole_writer
 from tapetum.errors import InputError, one_of
@@ -114,6 +114,7 @@ def serve(
     from tapetum.record.hand import Aim, Hands, how_many
     from tapetum.record.network import is_network, without_password
     from tapetum.track.detector import DETECTORS
+    from tapetum.track.pipeline import unsure_of
 
     # An address may hold a password.
     shown = without_password(source) if is_network(source) else source
@@ -164,6 +165,7 @@ def serve(
             for one in listeners:
                 one.close()
             raise
+        warn_of_intervals(models or (), unsure_of(watch.models, watch.acquisition))
         app = make_app(
             watch,
             _hosts(address, names),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tapetum.cli.models import find_model
+from tapetum.cli.models import find_model, warn_of_intervals
 from tapetum.cli.options import (
     WAYS,
     AsJson,
@@ -151,6 +151,7 @@ def track(
             remedy = "; ".join(filter(None, (error.remedy, f"the tracks as they are stand in {raw}")))
             raise InputError(error.what, where=error.where, remedy=remedy) from error
         raw.unlink()
+    warn_of_intervals(models or (), summary.unsure)
     for reason, count in getattr(find, "notes", {}).items():
         frames = f"{count} lit frame{'' if count == 1 else 's'}"
         typer.echo(f"note: {frames} searched alone, which finds less: {reason}", err=True)

@@ -146,6 +146,22 @@ class Predictor(ABC):
         """Whether a film with these marks (`tapetum.record.marks`) shows what the model was trained on."""
         return bool(self.marks & marks)
 
+    def unsure(self, marks: Sequence[frozenset[str]]) -> str:
+        """Return why the intervals may be too narrow for films with these marks; empty where they are not.
+
+        They are where they would be those of its own camera, which the films are not known to show, only because it has
+        none for another copy, and nobody said whose to use.
+        """
+        held = getattr(self, "intervals_", None)
+        if held is None or not np.isfinite(held.half_width).any() or self.whose is not None or self.others_ is not None:
+            return ""
+        if marks and all(self.knows(one) for one in marks):
+            return ""
+        return (
+            "its intervals are those of the camera that it was trained on, which this input is not known to show; "
+            "it has none for another copy of it"
+        )
+
     @abstractmethod
     def parameters(self) -> dict[str, Any]:
         """Return the arguments that the model was made with, as values that JSON can hold."""

@@ -40,7 +40,7 @@ from tapetum.track.turns import Turns
 if TYPE_CHECKING:
     from tapetum.models import Predictor
 
-__all__ = ["SIDE", "TrackSummary", "make_detector", "seeing", "track", "track_to_file", "usual_tracker"]
+__all__ = ["SIDE", "TrackSummary", "make_detector", "seeing", "track", "track_to_file", "unsure_of", "usual_tracker"]
 
 SIDE = 400
 """Side of the square that the models are shown, in pixels (the paper's largest crop)."""
@@ -56,13 +56,23 @@ Models: TypeAlias = "Predictor | str | os.PathLike[str] | Sequence[Predictor | s
 
 @dataclass(frozen=True)
 class TrackSummary:
-    """Counts of a written table: frames, tracks, rows, rows in which the spot was seen, and lost frames."""
+    """Counts of a written table: frames, tracks, rows, rows in which the spot was seen, and lost frames.
+
+    `unsure` has for each model why its intervals may be too narrow (`Predictor.unsure`), empty where they are not.
+    """
 
     frames: int
     tracks: int
     rows: int
     seen: int
     lost: int = 0
+    unsure: tuple[str, ...] = ()
+
+
+def unsure_of(estimators: Sequence[Predictor], source: object) -> tuple[str, ...]:
+    """Return for each model why its intervals may be too narrow for a source, empty where they are not."""
+    marks = [frozenset(getattr(source, "marks", ()))]
+    return tuple(one.unsure(marks) if hasattr(one, "unsure") else "" for one in estimators)
 
 
 def _loaded(models: Models) -> list[Predictor]:
@@ -422,4 +432,4 @@ def track_to_file(
                     kept.write(record)
         if stop.is_set() and not getattr(opened, "live", False):
             raise KeyboardInterrupt
-    return TrackSummary(frames, len(numbers), rows, seen, lost)
+    return TrackSummary(frames, len(numbers), rows, seen, lost, unsure_of(estimators, opened))
