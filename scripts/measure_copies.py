@@ -7,7 +7,8 @@ Films copies of a set's camera at gazes drawn over the set's part of the field, 
 and trains ResNet-18 on 1, 4 and 16 of them, with equal numbers of frames and of passes over frames. Each network is
 scored on other frames of the copies that it was trained on ("same"), and on copies with other seeds ("other"). What no
 retro-reflection shows of a copy, as where its point of symmetry lies, is an offset that all its frames have in common:
-the errors are given with each copy's own mean error taken off, too. Copies and models stay in the folder, so that the
+the errors are given with each copy's own mean error taken off, too. --causes lets the copy that the first network was
+trained on differ in one thing alone, drawn from the same tolerances. Copies and models stay in the folder, so that the
 same command continues an interrupted run. The numbers go to docs/numbers/copies-SET.json, or -o.
 """
 
@@ -16,7 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from tapetum.bench import Scene, load_scene, with_values
+from tapetum.bench import Scene, draw_unit, load_scene, with_values
+from tapetum.bench.copies import usual_tolerances
+from tapetum.bench.tolerances import Tolerances
 from tapetum.data import dataset_from_arrays
 from tapetum.data.synth.plan import FIELDS, SETS
-from tapetum.experiments.copies import copy_films, film_copies
+from tapetum.data.write import Rules
+from tapetum.experiments.copies import copy_films, film_copies, film_copy
 from tapetum.experiments.side_by_side import side_by_side
 from tapetum.files import atomic_file
 from tapetum.memory import keep_big_blocks
@@ -153,6 +157,34 @@ def told(model: Any, frames: xr.Dataset, names: Sequence[str]) -> dict[str, Any]
     }
 
 
+def causes(kind: str, model: Any, work: Path, copies: int, frames: int) -> list[dict[str, Any]]:
+    """Score a network of the first copy on that copy with one thing drawn anew: as in other copies, in each in turn."""
+    (scene, labels), *further = Films.of(kind, work, 1).videos
+    if labels or further:
+        raise SystemExit(f"{kind}: --causes is of a set with one scene")
+    one, hand = draw_unit(scene, None, TRAIN), HandMotion(extent=SETS[kind].extent, sway=0.01)
+    rows, usual = [], usual_tolerances(scene)
+    for name in (field.name for field in fields(Tolerances)):
+        alone = Tolerances(**{name: getattr(usual, name)})
+        changed = [draw_unit(one, alone, seed) for seed in range(TEST, TEST + copies)]
+        if all(other == one for other in changed):
+            continue
+        found = []
+        for number, other in enumerate(bar(changed, f"filming {name}", total=copies)):
+            path = work / f"{kind}-{name}-{number}-{frames}.npz"
+            found.append(film_copy(other, TEST + number, frames, path, Rules(side=KINDS[kind].side), hand))
+        images, gazes = (np.concatenate([film[k] for film in found]) for k in (0, 1))
+        data = dataset_from_arrays(
+            images,
+            {"gaze_x": gazes[:, 0], "gaze_y": gazes[:, 1]},
+            full_scale=float(2**scene.probe.sensor.bits - 1),
+            recording=np.repeat(np.arange(copies), [len(film[0]) for film in found]),
+        )
+        rows.append({"differs": name, **told(model, data, KINDS[kind].names)})
+        print(json.dumps(rows[-1]), flush=True)
+    return rows
+
+
 def main() -> None:
     """Film, train, score, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -167,6 +199,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, help="side of the networks' images; the page's by default")
     parser.add_argument("--precision", choices=PRECISIONS, default="float32", help="of the networks' products")
     parser.add_argument("--processes", type=int, default=1, help="that film")
+    parser.add_argument("--causes", type=int, default=0, help="copies that differ in one thing, of each thing")
     parser.add_argument("--films", action="store_true", help="only film")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
@@ -176,7 +209,7 @@ def main() -> None:
     films = Films.of(options.set, options.work, options.processes, options.longest)
     other = films.frames(range(TEST, TEST + options.tested), options.test_frames)
     told_of = ("set", "frames", "passes", "size", "precision", "longest")
-    about = {**{name: getattr(options, name) for name in told_of}, "seeds": [TRAIN, TEST]}
+    about: dict[str, Any] = {**{name: getattr(options, name) for name in told_of}, "seeds": [TRAIN, TEST]}
     rows: list[dict[str, Any]] = []
     for count in options.copies:
         each = options.frames // count
@@ -207,6 +240,8 @@ def main() -> None:
         rows.append({"copies": count, "training_frames": train.sizes["frame"]})
         rows[-1] |= {"same": told(model, same, kind.names), "other": told(model, other, kind.names)}
         print(json.dumps(rows[-1]), flush=True)
+        if options.causes and count == 1:
+            about["causes"] = causes(options.set, model, options.work, options.causes, options.test_frames)
         with atomic_file(out) as part:
             part.write_text(json.dumps({**about, "rows": rows}, indent=1) + "\n", encoding="utf-8")
 
