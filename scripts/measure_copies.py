@@ -8,8 +8,9 @@ and trains ResNet-18 on 1, 4 and 16 of them, with equal numbers of frames and of
 scored on other frames of the copies that it was trained on ("same"), and on copies with other seeds ("other"). What no
 retro-reflection shows of a copy, as where its point of symmetry lies, is an offset that all its frames have in common:
 the errors are given with each copy's own mean error taken off, too. --causes lets the copy that the first network was
-trained on differ in one thing alone, drawn from the same tolerances. Copies and models stay in the folder, so that the
-same command continues an interrupted run. The numbers go to docs/numbers/copies-SET.json, or -o.
+trained on differ in one thing alone, drawn from the same tolerances, and shows each network the other copies with the
+probe's second beam turned to the opposite side. Copies and models stay in the folder, so that the same command
+continues an interrupted run. The numbers go to docs/numbers/copies-SET.json, or -o.
 """
 
 from __future__ import annotations
@@ -23,16 +24,15 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from tapetum.bench import Scene, draw_unit, load_scene, with_values
 from tapetum.bench.copies import usual_tolerances
+from tapetum.bench.scene import Target
 from tapetum.bench.tolerances import Tolerances
 from tapetum.data import dataset_from_arrays
 from tapetum.data.synth.plan import FIELDS, SETS
 from tapetum.data.write import Rules
-from tapetum.experiments.copies import copy_films, film_copies, film_copy
-from tapetum.experiments.side_by_side import side_by_side
+from tapetum.experiments.copies import film_copies, film_copy
 from tapetum.files import atomic_file
 from tapetum.memory import keep_big_blocks
 from tapetum.models import ResNet18, load_model, save_model
@@ -43,8 +43,6 @@ from tapetum.record import HandMotion
 # Seeds of the copies of the training sets, and of those that are only tested on.
 TRAIN, TEST = 4_300_000, 4_400_000
 DRAWS = 1000
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -76,13 +74,15 @@ class Films:
     processes: int
 
     @classmethod
-    def of(cls, kind: str, work: Path, processes: int, longest: float | None = None) -> Films:
+    def of(
+        cls, kind: str, work: Path, processes: int, longest: float | None = None, changes: Sequence[str] = ()
+    ) -> Films:
         """Of each label of the set once: its videos of the same camera differ in the gazes alone.
 
-        `longest` leaves out longer focal lengths.
+        `longest` leaves out longer focal lengths; `changes` are of the scene.
         """
         recipe = SETS[kind]
-        scene = load_scene(kind, recipe.settings.get("paper", ()))
+        scene = load_scene(kind, (*recipe.settings.get("paper", ()), *changes))
         labels = {json.dumps(dict(own)): dict(own) for _, own in recipe.videos}
         if longest is not None:
             labels = {key: own for key, own in labels.items() if float(own.get("focal_length", 0)) <= longest}
@@ -94,17 +94,10 @@ class Films:
 
     def frames(self, seeds: Sequence[int], each: int) -> xr.Dataset:
         """Return `each` frames of each copy, as many of every video; `recording` numbers the copies."""
-        side, own = KINDS[self.kind].side, each // len(self.videos)
-        jobs = [
-            film
-            for number, (scene, _) in enumerate(self.videos)
-            for film in copy_films(scene, seeds, own, self._folder(number), side=side, motion=self.hand)
-        ]
-        for _ in bar(side_by_side(jobs, self.processes), "filming copies", total=len(jobs)):
-            pass
-        parts = []
+        side, own, parts = KINDS[self.kind].side, each // len(self.videos), []
         for number, (scene, labels) in enumerate(self.videos):
-            one = film_copies(scene, seeds, own, self._folder(number), side=side, motion=self.hand)
+            folder, how = self.work / f"{self.kind}-{number}", {"side": side, "processes": self.processes}
+            one = film_copies(scene, seeds, own, folder, motion=self.hand, progress=bar, **how)
             count = one.sizes["frame"]
             columns = {name: one[name].values for name in ("gaze_x", "gaze_y")}
             columns |= {name: np.full(count, value) for name, value in labels.items()}
@@ -120,9 +113,6 @@ class Films:
             full_scale=full,
             recording=recording[order],
         )
-
-    def _folder(self, video: int) -> Path:
-        return self.work / f"{self.kind}-{video}"
 
 
 def told(model: Any, frames: xr.Dataset, names: Sequence[str]) -> dict[str, Any]:
@@ -142,6 +132,7 @@ def told(model: Any, frames: xr.Dataset, names: Sequence[str]) -> dict[str, Any]
     nearer = np.hypot(*turned.T) < np.hypot(*error.T)
     sign = {
         "opposite": float(nearer.mean()),
+        "opposite_by_copy": [float(nearer[own].mean()) for own in rows],
         "mae_but_for_sign": np.where(nearer[:, None], turned, np.abs(error)).mean(axis=0).tolist(),
     }
     return {
@@ -157,11 +148,15 @@ def told(model: Any, frames: xr.Dataset, names: Sequence[str]) -> dict[str, Any]
     }
 
 
+def _tilt(scene: Scene) -> tuple[float, float]:
+    """The tilt of a scene's sensor, in radians."""
+    assert isinstance(scene.target, Target)
+    return scene.target.sensor.tilt
+
+
 def causes(kind: str, model: Any, work: Path, copies: int, frames: int) -> list[dict[str, Any]]:
     """Score a network of the first copy on that copy with one thing drawn anew: as in other copies, in each in turn."""
-    (scene, labels), *further = Films.of(kind, work, 1).videos
-    if labels or further:
-        raise SystemExit(f"{kind}: --causes is of a set with one scene")
+    ((scene, _),) = Films.of(kind, work, 1).videos
     one, hand = draw_unit(scene, None, TRAIN), HandMotion(extent=SETS[kind].extent, sway=0.01)
     rows, usual = [], usual_tolerances(scene)
     for name in (field.name for field in fields(Tolerances)):
@@ -203,13 +198,31 @@ def main() -> None:
     parser.add_argument("--films", action="store_true", help="only film")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
+    if options.causes and (options.set != "rotation" or 1 not in options.copies):
+        parser.error("--causes is of rotation and a network of one copy")
     keep_big_blocks()
     kind, out = KINDS[options.set], options.out or Path(f"docs/numbers/copies-{options.set}.json")
     size = options.size or kind.size
     films = Films.of(options.set, options.work, options.processes, options.longest)
+    least = min(options.test_frames, options.frames // max(options.copies))
+    if not 0 < len(films.videos) <= least:
+        parser.error(f"{len(films.videos)} videos want as many frames of each copy at least, and get {least}")
     other = films.frames(range(TEST, TEST + options.tested), options.test_frames)
     told_of = ("set", "frames", "passes", "size", "precision", "longest")
     about: dict[str, Any] = {**{name: getattr(options, name) for name in told_of}, "seeds": [TRAIN, TEST]}
+    turned = None
+    if options.causes:
+        scene, seeds = films.videos[0][0], {"trained": range(TRAIN, TRAIN + max(options.copies))}
+        seeds["tested"] = range(TEST, TEST + options.tested)
+        about["tilts"] = {
+            what: [list(_tilt(draw_unit(scene, None, one))) for one in own] for what, own in seeds.items()
+        }
+        second = scene.illumination.second_beam
+        assert second is not None
+        x, y = second.angle
+        beam = [f"illumination.second_beam.angle=[{-x} rad, {-y} rad]"]
+        opposite = Films.of(options.set, options.work / "turned-beam", options.processes, changes=beam)
+        turned = opposite.frames(range(TEST, TEST + options.tested), options.test_frames)
     rows: list[dict[str, Any]] = []
     for count in options.copies:
         each = options.frames // count
@@ -239,6 +252,8 @@ def main() -> None:
         model = load_model(path)
         rows.append({"copies": count, "training_frames": train.sizes["frame"]})
         rows[-1] |= {"same": told(model, same, kind.names), "other": told(model, other, kind.names)}
+        if turned is not None:
+            rows[-1]["other_beam_turned"] = told(model, turned, kind.names)
         print(json.dumps(rows[-1]), flush=True)
         if options.causes and count == 1:
             about["causes"] = causes(options.set, model, options.work, options.causes, options.test_frames)

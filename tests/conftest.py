@@ -6,8 +6,8 @@ import gc
 import json
 import math
 import os
+import sys
 from collections.abc import Callable, Iterator
-from multiprocessing import forkserver
 from multiprocessing.context import BaseContext
 from pathlib import Path
 
@@ -100,6 +100,10 @@ def load_once() -> None:
 
     It starts once and keeps the modules of the first; those of later tests would each load theirs, for seconds.
     """
+    if not sys.platform.startswith("linux"):
+        return  # `context_of` starts none there
+    from multiprocessing import forkserver
+
     chosen = forkserver.set_forkserver_preload
     forkserver.set_forkserver_preload = lambda modules_names: chosen(sorted({*modules_names, *_LOADED}))
 

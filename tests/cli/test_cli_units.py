@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
+import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,7 +79,7 @@ def test_track_takes_the_intervals_that_are_asked_for(run, chain, copies: Path, 
 
 
 def test_a_model_without_intervals_for_copies_says_so_where_the_camera_is_unknown(
-    run, chain, copies: Path, tmp_path: Path
+    run, chain, copies: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     model, none = tmp_path / "m", "it has none for another copy of it"
     # The chain has too few frames to calibrate any.
@@ -94,6 +97,21 @@ def test_a_model_without_intervals_for_copies_says_so_where_the_camera_is_unknow
         assert ran.code == 0 and (none in ran.err) == said, ran.err
     told = json.loads(run("track", video, "--model", model, "-o", tmp_path / "t.csv", "--overwrite", "--json").out)
     assert len(told["unsure"]) == 1 and none in told["unsure"][0]
+
+    with warnings.catch_warnings():
+        # Starlette's client wants another version of httpx.
+        warnings.simplefilter("ignore")
+        from starlette.testclient import TestClient
+
+    def begin_and_end(app: Any, bound: socket.socket, *_: object) -> None:
+        bound.close()
+        with TestClient(app):
+            pass
+
+    monkeypatch.setattr("tapetum.cli.serve._run", begin_and_end)
+    for source, said in ((chain.recording, False), (video, True)):
+        ran = run("serve", source, "--model", model, "--port", 0)
+        assert ran.code == 0 and (none in ran.err) == said, ran.err
 
 
 def test_copies_train_a_network_with_their_camera(run, chain, copies: Path, tmp_path: Path) -> None:

@@ -139,8 +139,11 @@ class Predictor(ABC):
             raise InputError("has no intervals for another copy of its camera", where="model", remedy=remedy)
         if unit is not None or self.others_ is None:
             return unit or "own"
-        marks = marks_of(data) if isinstance(data, xr.Dataset) else []
-        return "own" if marks and all(self.knows(one) for one in marks) else "other"
+        return "own" if self._shown(marks_of(data) if isinstance(data, xr.Dataset) else []) else "other"
+
+    def _shown(self, marks: Sequence[frozenset[str]]) -> bool:
+        """Whether films with these marks are known to show what the model was trained on."""
+        return bool(marks) and all(self.knows(one) for one in marks)
 
     def knows(self, marks: frozenset[str]) -> bool:
         """Whether a film with these marks (`tapetum.record.marks`) shows what the model was trained on."""
@@ -155,7 +158,7 @@ class Predictor(ABC):
         held = getattr(self, "intervals_", None)
         if held is None or not np.isfinite(held.half_width).any() or self.whose is not None or self.others_ is not None:
             return ""
-        if marks and all(self.knows(one) for one in marks):
+        if self._shown(marks):
             return ""
         return (
             "its intervals are those of the camera that it was trained on, which this input is not known to show; "
