@@ -1,0 +1,171 @@
+"""Write docs/measured.md, what carries over to other cameras, of the numbers in docs/numbers.
+
+    .venv/bin/python scripts/make_measured_page.py
+
+The text is measured.md.j2, beside this script. Which command measured what stands in the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tapetum.experiments.templating import render_text
+from tapetum.files import atomic_file
+
+ROOT = Path(__file__).parents[1]
+NUMBERS = ROOT / "docs" / "numbers"
+PAGE = ROOT / "docs" / "measured.md"
+TEMPLATE = Path(__file__).with_name("measured.md.j2")
+# What copies of the Rotation camera differ by, in words.
+CAUSES = {
+    "sensor_tilt": "tilt of the sensor",
+    "decentre": "decentre of the lens",
+    "aperture": "aperture",
+    "focus": "focus",
+    "beam_ratio": "second beam, ratio",
+    "beam_angle": "second beam, angle",
+    "reflectance": "reflectance of the sensor",
+    "focal_length": "focal length",
+}
+
+
+def made() -> str:
+    """Return the page."""
+    return render_text(TEMPLATE.read_text(encoding="utf-8"), context())
+
+
+def context() -> dict[str, Any]:
+    """Return all that the template names."""
+    names = ("copies-rotation", "copies-focusing", "phones-copies", "phones-copies-by-number", "other-units", "domain")
+    found = {name.replace("-", "_"): _numbers(name) for name in (*names, "rotation-rates", "copy-prior")}
+    found |= {"causes": CAUSES, "adapted": Adapted, "groups": groups, "twins": twins(_numbers("twin")["units"])}
+    for name in ("adapt", "adapt-changed", "adapt-lenses", "adapt-rotation"):
+        found[name.replace("-", "_")] = _numbers(name)["rows"]
+    return found | {"pair": pair, "pairs": percents, "guess": guess, "mean": mean}
+
+
+def mean(rows: Iterable[Sequence[float]]) -> list[float]:
+    """Return the mean of rows [K]."""
+    return np.mean(list(rows), axis=0).tolist()
+
+
+def pair(values: Sequence[float], digits: int | None = None) -> str:
+    """Write two errors, x / y, to two significant digits or so many decimal places."""
+    if digits is None:
+        if max(values) < 1e-3:
+            return " / ".join(f"{value:.1e}".replace("e-0", "e-") for value in values)
+        digits = max(1, 1 - int(np.floor(np.log10(min(values)))))
+    return " / ".join(f"{value:.{digits}f}" for value in values)
+
+
+def percents(values: Sequence[float]) -> str:
+    """Write two shares, x / y."""
+    return " / ".join(f"{100 * value:.0f}" for value in values) + " %"
+
+
+def guess(errors: Sequence[float], guesses: Sequence[float]) -> str:
+    """Say how errors compare with a guess's, along both axes."""
+    ratios = [error / one for error, one in zip(errors, guesses, strict=True)]
+    if min(ratios) >= 0.9:
+        return "no better than a guess"
+    low, high = (f"{100 * ratio:.0f}" for ratio in (min(ratios), max(ratios)))
+    return f"{low} to {high} % of a guess's" if low != high else f"{low} % of a guess's"
+
+
+class Adapted:
+    """Rows of `measure_adapt.py` for one kind of camera and one way of learning, a row a copy.
+
+    `mae`, `median` and `held` are means over the copies (of x and y), `worst` is the row of the largest error.
+    """
+
+    def __init__(self, rows: Sequence[Mapping[str, Any]], **which: Any) -> None:
+        """Keep the rows that are as `which` says; a prefix of `kind` is enough, None stands for a missing entry."""
+        self.rows = [row for row in rows if all(_like(row.get(name), value) for name, value in which.items())]
+        if not self.rows:
+            raise KeyError(f"no rows with {which}")
+        units = [row["unit"] for row in self.rows]
+        if len(set(units)) < len(units):
+            raise KeyError(f"rows of {which} name a copy twice")
+        self.units = units
+        self.mae, self.held = (np.mean([row[name] for row in self.rows], axis=0).tolist() for name in ("mae", "held"))
+        self.median = np.median([row["mae"] for row in self.rows], axis=0).tolist()
+        self.held_both = float(np.mean(self.held))
+        answered = [row.get("answered") for row in self.rows]
+        self.answered = None if None in answered else float(np.mean(answered))
+        self.worst = max(self.rows, key=lambda row: sum(row["mae"]))
+        self.processor = _range([row["processor_seconds"] for row in self.rows if row.get("processor_seconds")])
+
+    def of(self, units: Sequence[int]) -> Adapted:
+        """Return the same for some of the copies."""
+        return Adapted([row for row in self.rows if row["unit"] in units])
+
+    def better(self, other: Adapted) -> int:
+        """Count the copies of both on which this one errs less along both axes."""
+        theirs = {row["unit"]: row["mae"] for row in other.rows}
+        shared = [(row["mae"], theirs[row["unit"]]) for row in self.rows if row["unit"] in theirs]
+        return sum(a[0] < b[0] and a[1] < b[1] for a, b in shared)
+
+
+def _range(seconds: Sequence[float]) -> str:
+    """Write the least and the largest of some times."""
+    digits = 1 if max(seconds, default=0) < 10 else 0
+    return " to ".join(f"{pick(seconds):.{digits}f}" for pick in (min, max)) if seconds else "–"
+
+
+def _like(value: Any, wanted: Any) -> bool:
+    return value.startswith(wanted) if isinstance(value, str) and wanted else value == wanted
+
+
+def groups(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
+    """Return the values that an entry has, in the order in which they come."""
+    return list(dict.fromkeys(row[name] for row in rows))
+
+
+def twins(units: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Gather the twins of each kind: of how many parameters how far off, misfits, readings over the limit."""
+    told: dict[str, Any] = {}
+    for kind in ("thin", "traced"):
+        own = sorted((unit for unit in units if unit["kind"] == kind), key=lambda unit: unit["seed"])
+        off = {(unit["seed"], name): abs(value) for unit in own for name, value in unit["off"].items()}
+        read = [unit for unit in own if "held" in unit]
+        errors = np.concatenate([unit["errors"] for unit in read])
+        (seed, name), worst = max(off.items(), key=lambda one: one[1])
+        told[kind] = {
+            "units": own,
+            "parameters": len(off),
+            "within": [sum(value <= most for value in off.values()) for most in (2, 3)],
+            "worst": {"seed": seed, "name": name, "off": worst},
+            "untold": sorted({one for unit in own for one in unit["untold"]}),
+            "converged": sum(unit["converged"] for unit in own),
+            "misfit": max(unit["misfit_lit"] for unit in own),
+            "before": [pick(unit["before"] for unit in own) for pick in (min, max)],
+            "over": [unit["read_over_limit"] for unit in own],
+            "over_mean": float(np.mean([unit["read_over_limit"] for unit in own])),
+            "seconds": [unit["seconds"] for unit in own],
+            "mae": np.abs(errors).mean(axis=0).tolist(),
+            "read": len(errors),
+            "held": float(np.mean(np.concatenate([unit["held"] for unit in read]))),
+            "networks": [unit for unit in own if "networks" in unit],
+        }
+    return told
+
+
+def _numbers(name: str) -> Any:
+    return json.loads((NUMBERS / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def main() -> None:
+    """Write the page."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
+    with atomic_file(PAGE) as part:
+        part.write_text(made(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

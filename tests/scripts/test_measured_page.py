@@ -1,0 +1,56 @@
+"""docs/measured.md holds no number of its own: it follows from docs/numbers."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import make_measured_page as script
+import pytest
+
+
+def test_the_page_is_made_of_its_numbers() -> None:
+    assert script.PAGE.read_text(encoding="utf-8") == script.made(), f"run {script.__file__}"
+
+
+def test_verdicts_follow_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = script._numbers
+
+    def other(name: str) -> Any:
+        found = usual(name)
+        if name == "copies-rotation":
+            last = found["rows"][-1]
+            last["other"]["mae"] = last["other"]["guess"]
+            last["other_beam_turned"]["opposite"] = 0.7
+        if name == "adapt":
+            for row in found["rows"]:
+                row["mae"] = [value / 10 if row["seconds"] == 100 else value for value in row["mae"]]
+        return found
+
+    monkeypatch.setattr(script, "_numbers", other)
+    text = " ".join(script.made().split())
+    assert text.count("| no better than a guess |") == 2
+    assert "it is read by the second beam" in text and "has little part" not in text
+    assert "More film than 5 s helps" in text and "serve as well as 100 s" not in text
+
+
+def test_errors_are_written_to_two_digits() -> None:
+    assert script.pair([0.0123, 0.345]) == "0.012 / 0.345"
+    assert script.pair([4.23e-5, 5.7e-5]) == "4.2e-5 / 5.7e-5"
+    assert script.pair([0.0123, 0.345], 2) == "0.01 / 0.34"
+    assert script.guess([0.1, 0.2], [0.2, 0.2]) == "50 to 100 % of a guess's"
+    assert script.guess([0.19, 0.2], [0.2, 0.2]) == "no better than a guess"
+
+
+def test_rows_of_copies_are_gathered() -> None:
+    rows = [
+        {"kind": "a", "unit": unit, "mae": [0.1 * unit, 0.2], "held": [0.8, 1.0], "answered": 1.0, "films": films}
+        for unit, films in ((1, None), (3, None), (1, 3))
+    ]
+    found = script.Adapted(rows, kind="a", films=None)
+    assert found.units == [1, 3] and found.mae == pytest.approx([0.2, 0.2]) and found.held_both == pytest.approx(0.9)
+    assert found.worst["unit"] == 3 and found.of([1]).mae == pytest.approx([0.1, 0.2])
+    assert found.better(script.Adapted([dict(rows[0], mae=[0.2, 0.3])])) == 1
+    for wrong in ({"kind": "b"}, {"kind": "a"}):
+        with pytest.raises(KeyError):
+            script.Adapted(json.loads(json.dumps(rows)), **wrong)
