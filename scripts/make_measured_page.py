@@ -96,8 +96,8 @@ class Adapted:
         self.mae, self.held = (np.mean([row[name] for row in self.rows], axis=0).tolist() for name in ("mae", "held"))
         self.median = np.median([row["mae"] for row in self.rows], axis=0).tolist()
         self.held_both = float(np.mean(self.held))
-        answered = [row.get("answered") for row in self.rows]
-        self.answered = None if None in answered else float(np.mean(answered))
+        answered = [float(row["answered"]) for row in self.rows if "answered" in row]
+        self.answered = float(np.mean(answered)) if len(answered) == len(self.rows) else None
         self.worst = max(self.rows, key=lambda row: sum(row["mae"]))
         self.processor = _range([row["processor_seconds"] for row in self.rows if row.get("processor_seconds")])
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import make_measured_page as script
 import pytest
+
+import make_measured_page as script
 
 
 def test_the_page_is_made_of_its_numbers() -> None:
