@@ -12,8 +12,8 @@ import pytest
 from synth_plans import digest, little_plan
 
 from tapetum.data.synth import synthesise
+from tapetum.data.synth.parallel import parts_by_processes
 from tapetum.data.synth.plan import Part
-from tapetum.data.synth.processes import parts_by_processes
 from tapetum.data.synth.store import Staging
 from tapetum.errors import InputError, MissingExtraError, TapetumError
 

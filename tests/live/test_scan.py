@@ -116,7 +116,7 @@ def test_a_decoder_that_hangs_bursts_or_dies_is_an_error(
     assert "    limit()\n" in text
     bad.write_text(text.replace("    limit()\n", f"    limit()\n    {does}\n", 1))
     monkeypatch.setattr(decode, "__file__", str(bad))
-    monkeypatch.setattr("tapetum.live.modes.uploads._SECONDS", 3.0 if "sleep" in does else 60.0)
+    monkeypatch.setattr("tapetum.live.modes.uploads._SECONDS", 1.0 if "sleep" in does else 60.0)
     with pytest.raises(InputError, match="too much memory or time"):
         list(decoded(pair[0], "single"))
 

@@ -71,8 +71,8 @@ def adapt(
     from tapetum.data.film_parts import of_unit
     from tapetum.models import NetworkEstimator, save_model
     from tapetum.models import adapt as adapt_network
+    from tapetum.models.devices import has_bfloat16, training_device
     from tapetum.models.kept_folds import remove_kept
-    from tapetum.models.processes import has_bfloat16, training_device
 
     if precision == "bf16" and not has_bfloat16(training_device(device)):
         typer.echo("note: this device has no bfloat16: float32 takes its place", err=True)

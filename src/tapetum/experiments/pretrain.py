@@ -29,7 +29,7 @@ from tapetum.models import (
     save_model,
 )
 from tapetum.models.base import json_safe
-from tapetum.models.processes import training_device
+from tapetum.models.devices import training_device
 from tapetum.progress import Progress, quiet
 from tapetum.record import HandMotion, Session, film, label_recording, open_recording
 from tapetum.record.layout import LABELS, is_recording

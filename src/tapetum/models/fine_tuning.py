@@ -24,6 +24,7 @@ from tapetum.errors import InputError
 from tapetum.models.architectures import Network
 from tapetum.models.base import TrainingPart
 from tapetum.models.copy_prior import CopyPrior
+from tapetum.models.devices import training_device
 from tapetum.models.domain import fit_domain, picture_features
 from tapetum.models.intervals import fit_intervals
 from tapetum.models.kept_folds import WHOLE, KeptFolds
@@ -40,7 +41,6 @@ from tapetum.models.last_layer import (
 )
 from tapetum.models.losses import MixedLoss
 from tapetum.models.network import NetworkEstimator
-from tapetum.models.processes import training_device
 from tapetum.models.training import (
     EpochReport,
     TrainingSettings,

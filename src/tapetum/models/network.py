@@ -24,6 +24,7 @@ from tapetum.models.augmentation import augment
 from tapetum.models.base import Estimator, TrainingPart, plain_target, quantities_of, target_names, training_part
 from tapetum.models.calibration import fit_temperature, probabilities
 from tapetum.models.copy_prior import CopyPrior, fit_copy_prior
+from tapetum.models.devices import training_device
 from tapetum.models.domain import Domain, fit_domain, picture_features, picture_width
 from tapetum.models.inputs import BACKGROUNDS, prepare
 from tapetum.models.intervals import OTHER, Intervals, fit_intervals, has_intervals
@@ -32,7 +33,6 @@ from tapetum.models.losses import MixedLoss
 from tapetum.models.novelty import Novelty, fit_novelty
 from tapetum.models.own_layers import OwnLayers, beside_copies, copies_of, targets_beside, without_copies
 from tapetum.models.prediction import Prediction
-from tapetum.models.processes import training_device
 from tapetum.models.snr import crop_snr
 from tapetum.models.state import MISMATCH, checked_state
 from tapetum.models.training import Augmentation, EpochReport, TrainingSettings, kept_epoch, train

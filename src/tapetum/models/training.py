@@ -28,9 +28,9 @@ from tapetum.models.checkpoint import (
     read_checkpoint,
     remove_checkpoint,
 )
+from tapetum.models.devices import companions, make_fabric, process_count, training_device
 from tapetum.models.epochs import EpochReport, TrainingSettings, kept_epoch, learning_rate, out_of_patience
 from tapetum.models.losses import SmoothL1
-from tapetum.models.processes import companions, make_fabric, process_count, training_device
 from tapetum.models.steps import RecordedStep, Step, set_rate
 from tapetum.progress import Progress, quiet
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from tapetum.data.synth.parallel import parts_by_processes
 from tapetum.data.synth.plan import Part, Plan
-from tapetum.data.synth.processes import parts_by_processes
 from tapetum.data.synth.store import Staging
 from tapetum.data.synth.work import keep_part
 from tapetum.durable import sole_writer
