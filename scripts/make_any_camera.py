@@ -37,13 +37,13 @@ from tapetum.memory import keep_big_blocks
 from tapetum.models import NetworkEstimator, load_model, model_card, save_model
 from tapetum.models.architectures import Network
 from tapetum.models.augmentation import Augmentation
+from tapetum.models.devices import training_device
 from tapetum.models.domain import fit_domain, picture_features
 from tapetum.models.inputs import prepare
 from tapetum.models.intervals import Intervals
 from tapetum.models.last_layer import Correction, LastLayer, corrected
 from tapetum.models.other_units import grouped_half_width
 from tapetum.models.own_layers import OwnLayers, beside_copies
-from tapetum.models.processes import training_device
 from tapetum.models.snr import crop_snr
 from tapetum.models.training import EpochReport, TrainingSettings, augment, train
 from tapetum.progress import Progress, bar

@@ -1,8 +1,8 @@
-"""Write docs/measured.md, what carries over to other cameras, of the numbers in docs/numbers.
+"""Write docs/measured.md, and the measured parts of docs/rooms.md, of the numbers in docs/numbers.
 
     .venv/bin/python scripts/make_measured_page.py
 
-The text is measured.md.j2, beside this script. Which command measured what stands in the page.
+The texts are templates beside this script, NAME.md.j2. Which command measured what stands in the pages.
 """
 
 from __future__ import annotations
@@ -20,8 +20,28 @@ from tapetum.files import atomic_file
 
 ROOT = Path(__file__).parents[1]
 NUMBERS = ROOT / "docs" / "numbers"
-PAGE = ROOT / "docs" / "measured.md"
-TEMPLATE = Path(__file__).with_name("measured.md.j2")
+# Each template, and what is made of it.
+PAGES = {
+    name: ROOT / "docs" / place
+    for name, place in {
+        "measured": "measured.md",
+        "detection": "includes/detection.md",
+        "room-films": "includes/room-films.md",
+    }.items()
+}
+# Files of which the templates take their own; the others are gathered first.
+WHOLE = (
+    "copies-rotation",
+    "copies-focusing",
+    "phones-copies",
+    "phones-copies-by-number",
+    "other-units",
+    "domain",
+    "rotation-rates",
+    "copy-prior",
+    "detection",
+    "room-films",
+)
 # What copies of the Rotation camera differ by, in words.
 CAUSES = {
     "sensor_tilt": "tilt of the sensor",
@@ -35,15 +55,17 @@ CAUSES = {
 }
 
 
-def made() -> str:
-    """Return the page."""
-    return render_text(TEMPLATE.read_text(encoding="utf-8"), context())
+def made() -> dict[str, str]:
+    """Return every page or part of one, by its template's name."""
+    told = context()
+    return {
+        name: render_text(Path(__file__).with_name(f"{name}.md.j2").read_text(encoding="utf-8"), told) for name in PAGES
+    }
 
 
 def context() -> dict[str, Any]:
     """Return all that the template names."""
-    names = ("copies-rotation", "copies-focusing", "phones-copies", "phones-copies-by-number", "other-units", "domain")
-    found = {name.replace("-", "_"): _numbers(name) for name in (*names, "rotation-rates", "copy-prior")}
+    found: dict[str, Any] = {name.replace("-", "_"): _numbers(name) for name in WHOLE}
     found |= {"causes": CAUSES, "adapted": Adapted, "groups": groups, "twins": twins(_numbers("twin")["units"])}
     for name in ("adapt", "adapt-changed", "adapt-lenses", "adapt-rotation"):
         found[name.replace("-", "_")] = _numbers(name)["rows"]
@@ -161,10 +183,11 @@ def _numbers(name: str) -> Any:
 
 
 def main() -> None:
-    """Write the page."""
+    """Write them all."""
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
-    with atomic_file(PAGE) as part:
-        part.write_text(made(), encoding="utf-8")
+    for name, text in made().items():
+        with atomic_file(PAGES[name]) as part:
+            part.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -8,8 +8,9 @@ and trains ResNet-18 on 1, 4 and 16 of them, with equal numbers of frames and of
 scored on other frames of the copies that it was trained on ("same"), and on copies with other seeds ("other"). What no
 retro-reflection shows of a copy, as where its point of symmetry lies, is an offset that all its frames have in common:
 the errors are given with each copy's own mean error taken off, too. --causes lets the copy that the first network was
-trained on differ in one thing alone, drawn from the same tolerances, and shows each network the other copies with the
-probe's second beam turned to the opposite side. Copies and models stay in the folder, so that the same command
+trained on differ in one thing alone, drawn from the same tolerances, and shows each network the first other copies with
+what may tell opposite gazes apart changed: the probe's second beam turned to the opposite side, or left out, and the
+sensor without its photosites. Copies and models stay in the folder, so that the same command
 continues an interrupted run. The numbers go to docs/numbers/copies-SET.json, or -o.
 """
 
@@ -40,6 +41,8 @@ from tapetum.models.epochs import PRECISIONS
 from tapetum.progress import bar
 from tapetum.record import HandMotion
 
+# Copies that are tested with something of the scene changed.
+CHANGED = 8
 # Seeds of the copies of the training sets, and of those that are only tested on.
 TRAIN, TEST = 4_300_000, 4_400_000
 DRAWS = 1000
@@ -148,6 +151,18 @@ def told(model: Any, frames: xr.Dataset, names: Sequence[str]) -> dict[str, Any]
     }
 
 
+def changes_of(scene: Scene) -> dict[str, list[str]]:
+    """What may tell opposite gazes apart, changed, as settings of a scene."""
+    second = scene.illumination.second_beam
+    assert second is not None
+    x, y = second.angle
+    return {
+        "second beam turned": [f"illumination.second_beam.angle=[{-x} rad, {-y} rad]"],
+        "no second beam": ["illumination.second_beam=null"],
+        "no photosites": ["target.sensor.array=null"],
+    }
+
+
 def _tilt(scene: Scene) -> tuple[float, float]:
     """The tilt of a scene's sensor, in radians."""
     assert isinstance(scene.target, Target)
@@ -210,19 +225,19 @@ def main() -> None:
     other = films.frames(range(TEST, TEST + options.tested), options.test_frames)
     told_of = ("set", "frames", "passes", "size", "precision", "longest")
     about: dict[str, Any] = {**{name: getattr(options, name) for name in told_of}, "seeds": [TRAIN, TEST]}
-    turned = None
+    changed: dict[str, xr.Dataset] = {}
     if options.causes:
         scene, seeds = films.videos[0][0], {"trained": range(TRAIN, TRAIN + max(options.copies))}
         seeds["tested"] = range(TEST, TEST + options.tested)
         about["tilts"] = {
             what: [list(_tilt(draw_unit(scene, None, one))) for one in own] for what, own in seeds.items()
         }
-        second = scene.illumination.second_beam
-        assert second is not None
-        x, y = second.angle
-        beam = [f"illumination.second_beam.angle=[{-x} rad, {-y} rad]"]
-        opposite = Films.of(options.set, options.work / "turned-beam", options.processes, changes=beam)
-        turned = opposite.frames(range(TEST, TEST + options.tested), options.test_frames)
+        first = range(TEST, TEST + min(CHANGED, options.tested))
+        changed["as they are"] = films.frames(first, options.test_frames)
+        for name, settings in changes_of(scene).items():
+            folder = options.work / name.replace(" ", "-")
+            with_it = Films.of(options.set, folder, options.processes, changes=settings)
+            changed[name] = with_it.frames(first, options.test_frames)
     rows: list[dict[str, Any]] = []
     for count in options.copies:
         each = options.frames // count
@@ -250,10 +265,10 @@ def main() -> None:
             kept = path.with_suffix(".part")
             save_model(model.fit(train, progress=bar, checkpoint=kept, resume=kept.exists(), on_epoch=print), path)
         model = load_model(path)
-        rows.append({"copies": count, "training_frames": train.sizes["frame"]})
+        rows.append({"copies": count, "training_frames": train.sizes["frame"], "passes": options.passes})
         rows[-1] |= {"same": told(model, same, kind.names), "other": told(model, other, kind.names)}
-        if turned is not None:
-            rows[-1]["other_beam_turned"] = told(model, turned, kind.names)
+        if changed:
+            rows[-1]["changed"] = {name: told(model, frames, kind.names) for name, frames in changed.items()}
         print(json.dumps(rows[-1]), flush=True)
         if options.causes and count == 1:
             about["causes"] = causes(options.set, model, options.work, options.causes, options.test_frames)

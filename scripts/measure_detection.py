@@ -2,9 +2,10 @@
 
     python scripts/measure_detection.py [FIRST [COUNT]]
 
-Prints two tables, and writes docs/images/detection-limits.png. Scenes are those of drawn_scenes.py, COUNT seeds of each
-of the twelve kinds from FIRST on with four cameras, and six times as many from FIRST + 1000 on with none; a seed that
-anything was chosen or fitted on is no measurement. Cameras on what is overexposed, which cannot be seen, are left out.
+Writes docs/numbers/detection.json (or -o) and beside the documents' pictures detection-limits.png. Scenes are those of
+drawn_scenes.py, COUNT seeds of each of the twelve kinds from FIRST on with four cameras, and six times as many from
+FIRST + 1000 on with none; a seed that anything was chosen or fitted on is no measurement. Cameras on what is
+overexposed, which cannot be seen, are left out.
 
 A camera's height is given over the sensor's noise alone, and over what surrounds it as well: the standard deviation
 within 20 pixels of the registered difference of the same scene without cameras, over √2, as two frames' noise adds.
@@ -13,11 +14,13 @@ within 20 pixels of the registered difference of the same scene without cameras,
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,6 +30,8 @@ from drawn_scenes import KINDS, Drawn, draw
 from tapetum.detection import Found, find_cameras
 from tapetum.detection.registration import register
 from tapetum.errors import InputError
+from tapetum.files import atomic_file
+from tapetum.progress import bar
 
 RATES = (0.01, 0.1, 1.0)
 EMPTY = 6
@@ -34,7 +39,12 @@ EMPTY = 6
 PLAIN = ("noise", "shade", "hot pixels", "room")
 """Kinds of little clutter; the others move, repeat or shine."""
 HEIGHTS, DIAMETERS = (4.0, 8.0, 16.0, 32.0, 64.0), (2.4, 4.0, 8.0, 16.0)
-PICTURE = Path(__file__).parents[1] / "docs" / "images" / "detection-limits.png"
+SEEN = 8.0
+"""From this height on, over the noise or over what surrounds it, a camera is one that should be found."""
+WAYS: tuple[str, ...] = ("pair", "frame")
+NUMBERS, PICTURE = (
+    Path(__file__).parents[1] / "docs" / name for name in ("numbers/detection.json", "images/detection-limits.png")
+)
 
 
 @dataclass(frozen=True)
@@ -55,25 +65,33 @@ def found_in(scene: Drawn, way: str) -> Found:
 def cameras(kind: str, seed: int) -> list[Camera]:
     scene = draw(kind, seed, cameras=4, snr=(HEIGHTS[0], HEIGHTS[-1]), tape=False)
     same = draw(kind, seed, tape=False)  # the same scene: what comes later is drawn later
-    empty, left = cv2.medianBlur(same.lit, 5), same.lit - register(same.lit, same.dark).dark.astype(np.float32)
-    found = {way: found_in(scene, way) for way in ("pair", "frame")}
+    empty = cv2.medianBlur(same.lit, 5)
+    try:
+        left = same.lit - register(same.lit, same.dark).dark.astype(np.float32)
+        found = {way: found_in(scene, way) for way in WAYS}
+    except InputError as error:
+        # In a pair that is refused nothing is found; what surrounds its cameras is not known.
+        print(f"{kind} {seed}: {error}", file=sys.stderr)
+        left, found = None, {"frame": found_in(scene, "frame")}
     listed = []
     for (x, y), sigma, height, snr in zip(scene.places, scene.sigma, scene.height, scene.snr, strict=True):
         if empty[round(y), round(x)] > 245:
             continue
-        cost = {}
+        cost: dict[str, float] = dict.fromkeys(WAYS, math.inf)
         for way, one in found.items():
             near = np.hypot(one.x - x, one.y - y) <= max(2.5, 1.6 * sigma)
             cost[way] = float(one.false_alarms[near].min(initial=math.inf))
-        near = left[max(0, int(y) - 20) : int(y) + 21, max(0, int(x) - 20) : int(x) + 21]
-        around = float(height / max(near.std() / math.sqrt(2), 1e-3))
+        around = math.nan
+        if left is not None:
+            near = left[max(0, int(y) - 20) : int(y) + 21, max(0, int(x) - 20) : int(x) + 21]
+            around = float(height / max(near.std() / math.sqrt(2), 1e-3))
         listed.append(Camera(kind, float(snr), around, 4 * float(sigma), cost))
     return listed
 
 
 def alarms(kind: str, seed: int, tape: bool) -> dict[str, list[int]]:
     scene, told = draw(kind, seed, tape=tape), {}
-    for way in ("pair", "frame"):
+    for way in WAYS:
         try:
             costs = found_in(scene, way).false_alarms
         except InputError as error:
@@ -88,14 +106,18 @@ def recall(listed: list[Camera], way: str) -> list[float]:
     return [float(np.mean([one.cost[way] <= rate for one in listed])) if listed else math.nan for rate in RATES]
 
 
-def row(name: str, listed: list[Camera]) -> str:
-    cells = [f"{share:.2f}" for way in ("pair", "frame") for share in recall(listed, way)]
-    return f"| {name} | {len(listed)} | {' | '.join(cells)} |"
+def row(name: str, listed: list[Camera]) -> dict[str, Any]:
+    """Return the share of some cameras that is found at each rate, in a pair and in the lit frame alone."""
+    return {"name": name, "cameras": len(listed), **{way: recall(listed, way) for way in WAYS}}
 
 
-def alarm_row(name: str, told: list[dict[str, list[int]]]) -> str:
-    cells = [f"{np.mean([one[way][n] for one in told]):.3g}" for way in ("pair", "frame") for n in range(len(RATES))]
-    return f"| {len(told)}, {name} | {' | '.join(cells)} |"
+def alarm_row(name: str, told: list[dict[str, list[int]]]) -> dict[str, Any]:
+    """Return the alarms a scene of some scenes at each rate."""
+    return {
+        "name": name,
+        "scenes": len(told),
+        **{way: np.mean([one[way] for one in told], axis=0).tolist() for way in WAYS},
+    }
 
 
 def drawn(listed: list[Camera]) -> Figure:
@@ -131,32 +153,45 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("first", type=int, nargs="?", default=71000, help="seed of the first scene of each kind")
     parser.add_argument("count", type=int, nargs="?", default=20, help="scenes of each kind")
+    parser.add_argument("-o", "--out", type=Path, default=NUMBERS)
     options = parser.parse_args()
     first, count = options.first, options.count
     seeds = range(first, first + count)
-    listed = [one for kind in KINDS for seed in seeds for one in cameras(kind, seed)]
-    print("| cameras | count | pair 0.01 | 0.1 | 1 | frame 0.01 | 0.1 | 1 |\n|---|---|---|---|---|---|---|---|")
-    for low, high in pairwise(HEIGHTS):
-        print(row(f"{low:g} to {high:g} times the noise", [one for one in listed if low <= one.snr < high]))
-    seen = [one for one in listed if one.snr >= 8]
-    for low, high in pairwise(DIAMETERS):
-        print(row(f"{low:g} to {high:g} px, 8 and more", [one for one in seen if low <= one.diameter < high]))
-    for kind in KINDS:
-        print(row(f"{kind}, 8 and more", [one for one in seen if one.kind == kind]))
-    print(row("all, 8 and more", seen))
-    for low, high in pairwise((8.0, 16.0, 32.0, math.inf)):
-        chosen = [one for one in listed if low <= one.around < high]
-        print(row(f"{low:g} to {high:g} times what surrounds it", chosen))
-    print(row("all, 8 and more times what surrounds it", [one for one in listed if one.around >= 8]), flush=True)
-    drawn(listed).savefig(PICTURE, dpi=150)
-    print("\n| empty scenes | pair 0.01 | 0.1 | 1 | frame 0.01 | 0.1 | 1 |\n|---|---|---|---|---|---|---|")
+    listed = [
+        one for kind in KINDS for seed in bar(seeds, f"cameras in {kind}", total=count) for one in cameras(kind, seed)
+    ]
+    seen = [one for one in listed if one.snr >= SEEN]
+
+    def between(values: tuple[float, ...], of: str, chosen: list[Camera]) -> list[dict[str, Any]]:
+        told = []
+        for low, high in pairwise(values):
+            name = f"{low:g} to {high:g}" if math.isfinite(high) else f"more than {low:g}"
+            told.append(row(name, [one for one in chosen if low <= getattr(one, of) < high]))
+        return told
+
     many = range(first + 1000, first + 1000 + EMPTY * count)
-    for tape, chosen in ((False, many), (True, seeds)):
-        told = {kind: [alarms(kind, seed, tape) for seed in chosen] for kind in KINDS}
-        for kind in KINDS if not tape else ():
-            print(alarm_row(kind, told[kind]))
-        everything = [one for kind in KINDS for one in told[kind]]
-        print(alarm_row("a strip of tape in every fifth" if tape else "no tape", everything), flush=True)
+    empty = {
+        kind: [alarms(kind, seed, False) for seed in bar(many, f"empty {kind}", total=len(many))] for kind in KINDS
+    }
+    tape = [alarms(kind, seed, True) for kind in KINDS for seed in bar(seeds, f"tape, {kind}", total=count)]
+    numbers = {
+        "refused": sum(math.isnan(one.around) for one in listed),
+        "first": first,
+        "count": count,
+        "rates": RATES,
+        "by_height": between(HEIGHTS, "snr", listed),
+        "by_diameter": between(DIAMETERS, "diameter", seen),
+        "by_kind": [row(kind, [one for one in seen if one.kind == kind]) for kind in KINDS],
+        "seen": row("all", seen),
+        "by_surroundings": between((8.0, 16.0, 32.0, math.inf), "around", listed),
+        "clear": row("all", [one for one in listed if one.around >= SEEN]),
+        "alarms_by_kind": [alarm_row(kind, told) for kind, told in empty.items()],
+        "alarms": alarm_row("all", [one for told in empty.values() for one in told]),
+        "alarms_with_tape": alarm_row("a strip of tape in every fifth", tape),
+    }
+    with atomic_file(options.out) as part:
+        part.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
+    drawn(listed).savefig(PICTURE, dpi=150)
 
 
 if __name__ == "__main__":

@@ -5,19 +5,21 @@
 COUNT films of each of the twelve kinds of drawn_scenes.py from seed FIRST on, two seconds at 30 frames a second, with
 three cameras of 8 to 60 times the noise, tape left out. What moves there between two frames moves through the film:
 people walk, leaves swing, screens show something else every third of a second, lamps flicker; and the probe shakes in
-the hand. Prints, for each rate of false alarms that is asked for, which share of the cameras has a number after half a
-second and at the end, in which share of the later half's lit frames each is seen under a number, and how many numbered
-rows of a lit frame are no camera; and the same where every spot may cost only what is asked for, and where the motion
-of the picture is not known. Nothing here is a photograph.
+the hand. Writes to docs/numbers/room-films.json (or -o), for each rate of false alarms that is asked for, which share
+of the cameras has a number after half a second and at the end, in which share of the later half's lit frames each is
+seen under a number, and how many numbered rows of a lit frame are no camera; and the same where every spot may cost
+only what is asked for, and where the motion of the picture is not known. Nothing here is a photograph.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -25,6 +27,7 @@ from numpy.typing import NDArray
 
 import drawn_scenes as drawn
 from tapetum.detection import Found, find_cameras
+from tapetum.files import atomic_file
 from tapetum.record.source import Frame
 from tapetum.track import Detections, track
 from tapetum.track.cameras import CameraDetector
@@ -38,6 +41,8 @@ REACH, SETTLED = 6.0, 0.5
 """Pixels within which a row is a camera; seconds in which one should have its number."""
 OVEREXPOSED, LOOSEST = 235, 3.0
 """Grey level from which a camera is hidden; and the rate of false alarms up to which spots are kept."""
+
+NUMBERS = Path(__file__).parents[1] / "docs" / "numbers" / "room-films.json"
 
 Array = np.ndarray
 Moving = Callable[[float], Array]
@@ -243,11 +248,9 @@ def judged(one: Film, detector: Cached) -> dict[str, float]:
     }
 
 
-def told(name: str, counts: list[dict[str, float]]) -> str:
-    total = {key: sum(one[key] for one in counts) for key in counts[0]}
-    n = max(1, total["cameras"])
-    shares = f"{total['early'] / n:.2f} | {total['end'] / n:.2f} | {total['seen'] / max(1, total['of']):.2f}"
-    return f"| {name} | {n} | {shares} | {total['false'] / total['lit']:.4f} | {total['tracks']} |"
+def summed(counts: list[dict[str, float]]) -> dict[str, float]:
+    """Add up the counts of some films."""
+    return {key: sum(one[key] for one in counts) for key in counts[0]}
 
 
 RULES = {Cached: "", Strict: ", of every spot", Adrift: ", motion not known"}
@@ -259,6 +262,7 @@ def main() -> None:
     parser.add_argument("count", type=int, nargs="?", default=4, help="films of each kind")
     parser.add_argument("rates", type=float, nargs="*", default=[0.01, 0.1], help="false alarms a frame that are asked")
     parser.add_argument("--shake", type=float, default=SHAKE, help="of the hand along each axis, RMS in pixels")
+    parser.add_argument("-o", "--out", type=Path, default=NUMBERS)
     asked = parser.parse_args()
     cv2.setNumThreads(1)
     rules = {f"{rate:g} asked{also}": (kind, rate) for rate in asked.rates for kind, also in RULES.items()}
@@ -269,12 +273,23 @@ def main() -> None:
             for name, (rule, rate) in rules.items():
                 results[name].append((kind, judged(one, rule(known, rate))))
         print(f"{kind} done", file=sys.stderr, flush=True)
-    for name, counts in results.items():
-        print(f"\n{name}\n| | cameras | after {SETTLED:g} s | at the end | seen | false a lit frame | tracks |")
-        print("|---|---|---|---|---|---|---|")
-        for kind in drawn.KINDS:
-            print(told(kind, [own for of, own in counts if of == kind]))
-        print(told("all", [own for _, own in counts]), flush=True)
+    numbers = {
+        "first": asked.first,
+        "count": asked.count,
+        "shake": asked.shake,
+        "settled": SETTLED,
+        "rules": [
+            {
+                "rule": kind.__name__.lower(),
+                "rate": rate,
+                "all": summed([own for _, own in results[name]]),
+                "by_kind": {of: summed([own for one, own in results[name] if one == of]) for of in drawn.KINDS},
+            }
+            for name, (kind, rate) in rules.items()
+        ],
+    }
+    with atomic_file(asked.out) as part:
+        part.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""docs/measured.md holds no number of its own: it follows from docs/numbers."""
+"""docs/measured.md and parts of docs/rooms.md hold no number of their own: they follow from docs/numbers."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ import pytest
 import make_measured_page as script
 
 
-def test_the_page_is_made_of_its_numbers() -> None:
-    assert script.PAGE.read_text(encoding="utf-8") == script.made(), f"run {script.__file__}"
+def test_the_pages_are_made_of_their_numbers() -> None:
+    for name, text in script.made().items():
+        assert script.PAGES[name].read_text(encoding="utf-8") == text, f"run {script.__file__}"
+    rooms = (script.ROOT / "docs" / "rooms.md").read_text(encoding="utf-8")
+    assert '--8<-- "detection.md"' in rooms and '--8<-- "room-films.md"' in rooms
 
 
 def test_verdicts_follow_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -22,16 +25,17 @@ def test_verdicts_follow_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
         if name == "copies-rotation":
             last = found["rows"][-1]
             last["other"]["mae"] = last["other"]["guess"]
-            last["other_beam_turned"]["opposite"] = 0.7
+            last["changed"]["no photosites"]["opposite"] = 0.2
         if name == "adapt":
             for row in found["rows"]:
                 row["mae"] = [value / 10 if row["seconds"] == 100 else value for value in row["mae"]]
         return found
 
     monkeypatch.setattr(script, "_numbers", other)
-    text = " ".join(script.made().split())
-    assert text.count("| no better than a guess |") == 2
-    assert "it is read by the second beam" in text and "has little part" not in text
+    text = " ".join(script.made()["measured"].split())
+    assert text.count("| no better than a guess |") == 1
+    assert "None of these alone tells the sign" in text and "diffract**" not in text
+    assert "further copies would help" in text and "would add little" not in text
     assert "More film than 5 s helps" in text and "serve as well as 100 s" not in text
 
 
