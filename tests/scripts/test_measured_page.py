@@ -59,3 +59,25 @@ def test_rows_of_copies_are_gathered() -> None:
     for wrong in ({"kind": "b"}, {"kind": "a"}):
         with pytest.raises(KeyError):
             script.Adapted(json.loads(json.dumps(rows)), **wrong)
+
+
+LENSES = {"another catalogue lens": list(range(100, 110)), "a lens in no training set": [100, 101, 105]}
+
+
+@pytest.mark.parametrize("kind", LENSES)
+def test_half_a_minute_of_another_lens_is_worth_100_seconds_from_scratch(kind: str) -> None:
+    """As the guides say: on each copy on which both were tried."""
+    rows = script._numbers("adapt-lenses")["rows"]
+    adapted = script.Adapted(rows, kind=kind, method="adapt", films=None, residuals="interpolated")
+    scratch = script.Adapted(rows, kind=kind, method="scratch")
+    assert sorted(adapted.units) == list(range(100, 110))
+    assert sorted(set(adapted.units) & set(scratch.units)) == LENSES[kind]
+    assert adapted.better(scratch) == len(LENSES[kind])
+    assert adapted.worst["unit"] == 105
+
+
+def test_five_seconds_of_another_copy_serve_as_well_as_100() -> None:
+    rows = script._numbers("adapt")["rows"]
+    short, long = (script.Adapted(rows, kind="another unit", method="adapt", seconds=one) for one in (5.0, 100.0))
+    assert short.units == long.units == list(range(84, 94))
+    assert all(a < 1.25 * b for a, b in zip(short.mae, long.mae, strict=True))
