@@ -8,10 +8,10 @@ and trains ResNet-18 on 1, 4 and 16 of them, with equal numbers of frames and of
 scored on other frames of the copies that it was trained on ("same"), and on copies with other seeds ("other"). What no
 retro-reflection shows of a copy, as where its point of symmetry lies, is an offset that all its frames have in common:
 the errors are given with each copy's own mean error taken off, too. --causes lets the copy that the first network was
-trained on differ in one thing alone, drawn from the same tolerances, and shows each network the first other copies with
-what may tell opposite gazes apart changed: the probe's second beam turned to the opposite side, or left out, and the
-sensor without its photosites. Copies and models stay in the folder, so that the same command
-continues an interrupted run. The numbers go to docs/numbers/copies-SET.json, or -o.
+trained on differ in one thing alone, drawn from the same tolerances. --changed shows each network the first other
+copies with what may tell opposite gazes apart changed: the probe's second beam turned to the opposite side, or left
+out, and the sensor without its photosites. Copies and models stay in the folder, so that the same command continues an
+interrupted run. The numbers go to docs/numbers/copies-SET.json, or -o.
 """
 
 from __future__ import annotations
@@ -210,9 +210,12 @@ def main() -> None:
     parser.add_argument("--precision", choices=PRECISIONS, default="float32", help="of the networks' products")
     parser.add_argument("--processes", type=int, default=1, help="that film")
     parser.add_argument("--causes", type=int, default=0, help="copies that differ in one thing, of each thing")
+    parser.add_argument("--changed", action="store_true", help="test with what may tell the sign of a gaze changed")
     parser.add_argument("--films", action="store_true", help="only film")
     parser.add_argument("-o", "--out", type=Path)
     options = parser.parse_args()
+    if options.changed and options.set != "rotation":
+        parser.error("--changed is of rotation")
     if options.causes and (options.set != "rotation" or 1 not in options.copies):
         parser.error("--causes is of rotation and a network of one copy")
     keep_big_blocks()
@@ -232,6 +235,8 @@ def main() -> None:
         about["tilts"] = {
             what: [list(_tilt(draw_unit(scene, None, one))) for one in own] for what, own in seeds.items()
         }
+    if options.changed:
+        scene = films.videos[0][0]
         first = range(TEST, TEST + min(CHANGED, options.tested))
         changed["as they are"] = films.frames(first, options.test_frames)
         for name, settings in changes_of(scene).items():
