@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from tapetum.errors import InputError
-from tapetum.models import processes
+from tapetum.models import devices
 from tapetum.models.augmentation import Augmentation
 from tapetum.models.busy import BusySample, busy_share, covered
 from tapetum.models.checkpoint import CHECKPOINT, HISTORY, KeptEpoch
@@ -186,7 +186,7 @@ def test_reports_tell_the_rate(data):
 
 @pytest.mark.parametrize("there", [True, False])
 def test_bf16_is_near_float32_and_is_float32_where_it_would_be_emulated(data, monkeypatch, there):
-    monkeypatch.setattr(processes, "has_bfloat16", lambda _: there)
+    monkeypatch.setattr(devices, "has_bfloat16", lambda _: there)
     exact, short = (train(tiny(), *data, replace(PLAIN, precision=p), device="cpu") for p in ("float32", "bf16"))
     assert short[-1].loss == pytest.approx(exact[-1].loss, rel=0.05)
     assert (short[-1].loss == exact[-1].loss) != there
