@@ -69,7 +69,7 @@ def context() -> dict[str, Any]:
     found |= {"causes": CAUSES, "adapted": Adapted, "groups": groups, "twins": twins(_numbers("twin")["units"])}
     for name in ("adapt", "adapt-changed", "adapt-lenses", "adapt-rotation"):
         found[name.replace("-", "_")] = _numbers(name)["rows"]
-    return found | {"pair": pair, "pairs": percents, "guess": guess, "mean": mean}
+    return found | {"pair": pair, "pairs": percents, "guess": guess, "mean": mean, "recalled": recalled}
 
 
 def mean(rows: Iterable[Sequence[float]]) -> list[float]:
@@ -103,11 +103,13 @@ def guess(errors: Sequence[float], guesses: Sequence[float]) -> str:
 class Adapted:
     """Rows of `measure_adapt.py` for one kind of camera and one way of learning, a row a copy.
 
-    `mae`, `median` and `held` are means over the copies (of x and y), `worst` is the row of the largest error.
+    `mae` and `held` are means over the copies and `median` the median of their errors, of x and y each; `worst` is the
+    row of the largest error.
     """
 
     def __init__(self, rows: Sequence[Mapping[str, Any]], **which: Any) -> None:
-        """Keep the rows that are as `which` says; a prefix of `kind` is enough, None stands for a missing entry."""
+        """Keep the rows that are as `which` says; of words their beginning is enough, None stands for
+        a missing entry."""
         self.rows = [row for row in rows if all(_like(row.get(name), value) for name, value in which.items())]
         if not self.rows:
             raise KeyError(f"no rows with {which}")
@@ -127,11 +129,14 @@ class Adapted:
         """Return the same for some of the copies."""
         return Adapted([row for row in self.rows if row["unit"] in units])
 
+    def shared(self, other: Adapted) -> list[tuple[Sequence[float], Sequence[float]]]:
+        """Return the errors of both, copy by copy, of the copies that both have."""
+        theirs = {row["unit"]: row["mae"] for row in other.rows}
+        return [(row["mae"], theirs[row["unit"]]) for row in self.rows if row["unit"] in theirs]
+
     def better(self, other: Adapted) -> int:
         """Count the copies of both on which this one errs less along both axes."""
-        theirs = {row["unit"]: row["mae"] for row in other.rows}
-        shared = [(row["mae"], theirs[row["unit"]]) for row in self.rows if row["unit"] in theirs]
-        return sum(a[0] < b[0] and a[1] < b[1] for a, b in shared)
+        return sum(a[0] < b[0] and a[1] < b[1] for a, b in self.shared(other))
 
 
 def _range(seconds: Sequence[float]) -> str:
@@ -142,6 +147,12 @@ def _range(seconds: Sequence[float]) -> str:
 
 def _like(value: Any, wanted: Any) -> bool:
     return value.startswith(wanted) if isinstance(value, str) and wanted else value == wanted
+
+
+def recalled(found: Mapping[str, Any], but: Sequence[str]) -> float:
+    """Return the share of frames of known phones that are recognised, some phones left out."""
+    known = {name: found["frames_by_phone"][name] for name in found["recall"] if name not in but}
+    return sum(found["recall"][name] * frames for name, frames in known.items()) / sum(known.values())
 
 
 def groups(rows: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
@@ -172,6 +183,7 @@ def twins(units: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "seconds": [unit["seconds"] for unit in own],
             "mae": np.abs(errors).mean(axis=0).tolist(),
             "read": len(errors),
+            "read_units": len(read),
             "held": float(np.mean(np.concatenate([unit["held"] for unit in read]))),
             "networks": [unit for unit in own if "networks" in unit],
         }

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import xarray as xr
 
 from tapetum.bench import Scene, draw_unit, load_scene, with_values
@@ -40,9 +41,12 @@ from tapetum.models import ResNet18, load_model, save_model
 from tapetum.models.epochs import PRECISIONS
 from tapetum.progress import bar
 from tapetum.record import HandMotion
+from tapetum.simulate.hypotheses import sign_dprime
 
 # Copies that are tested with something of the scene changed.
 CHANGED = 8
+# Error, in fractions of the peak, of the pictures that a best observer compares.
+OBSERVED = 0.01
 # Seeds of the copies of the training sets, and of those that are only tested on.
 TRAIN, TEST = 4_300_000, 4_400_000
 DRAWS = 1000
@@ -163,6 +167,23 @@ def changes_of(scene: Scene) -> dict[str, list[str]]:
     }
 
 
+def best_observers(scene: Scene) -> dict[str, float]:
+    """Median d' of opposite gazes for a best observer, of a camera without tilt and decentre, changed or not.
+
+    Such a camera is alike in both directions, so that neither its tilt nor its point of symmetry tells the sign.
+    """
+    straight = with_values(scene, {"target.sensor.tilt": ["0 deg", "0 deg"], "target.sensor.decentre": ["0 m", "0 m"]})
+    straight = with_values(straight, {"sampling.accuracy": OBSERVED})
+    changed = {
+        "as they are": straight,
+        "no second beam": with_values(straight, {"illumination.second_beam": None}),
+        "no photosites": with_values(straight, {"target.sensor.array": None}),
+        "neither": with_values(straight, {"illumination.second_beam": None, "target.sensor.array": None}),
+    }
+    gazes = torch.as_tensor(np.random.default_rng(0).uniform(-0.35, 0.35, (8, 2)))
+    return {name: float(sign_dprime(one, gazes, accuracy=OBSERVED).median()) for name, one in changed.items()}
+
+
 def _tilt(scene: Scene) -> tuple[float, float]:
     """The tilt of a scene's sensor, in radians."""
     assert isinstance(scene.target, Target)
@@ -193,6 +214,17 @@ def causes(kind: str, model: Any, work: Path, copies: int, frames: int) -> list[
         rows.append({"differs": name, **told(model, data, KINDS[kind].names)})
         print(json.dumps(rows[-1]), flush=True)
     return rows
+
+
+def measured_before(out: Path, options: argparse.Namespace) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return what holds for all rows of a file, and those that are there: further copies are added to them."""
+    shared = {name: getattr(options, name) for name in ("set", "size", "precision", "longest")}
+    about: dict[str, Any] = {**shared, "seeds": [TRAIN, TEST]}
+    before = json.loads(out.read_text(encoding="utf-8")) if out.exists() else {}
+    if any(before.get(name) != value for name, value in about.items()):
+        return about, []
+    rows = before.pop("rows")
+    return before, rows
 
 
 def main() -> None:
@@ -226,8 +258,7 @@ def main() -> None:
     if not 0 < len(films.videos) <= least:
         parser.error(f"{len(films.videos)} videos want as many frames of each copy at least, and get {least}")
     other = films.frames(range(TEST, TEST + options.tested), options.test_frames)
-    told_of = ("set", "frames", "passes", "size", "precision", "longest")
-    about: dict[str, Any] = {**{name: getattr(options, name) for name in told_of}, "seeds": [TRAIN, TEST]}
+    about, rows = measured_before(out, options)
     changed: dict[str, xr.Dataset] = {}
     if options.causes:
         scene, seeds = films.videos[0][0], {"trained": range(TRAIN, TRAIN + max(options.copies))}
@@ -238,12 +269,12 @@ def main() -> None:
     if options.changed:
         scene = films.videos[0][0]
         first = range(TEST, TEST + min(CHANGED, options.tested))
+        about["dprime"] = best_observers(scene)
         changed["as they are"] = films.frames(first, options.test_frames)
         for name, settings in changes_of(scene).items():
             folder = options.work / name.replace(" ", "-")
             with_it = Films.of(options.set, folder, options.processes, changes=settings)
             changed[name] = with_it.frames(first, options.test_frames)
-    rows: list[dict[str, Any]] = []
     for count in options.copies:
         each = options.frames // count
         whole = films.frames(range(TRAIN, TRAIN + count), each + options.test_frames)
@@ -270,6 +301,7 @@ def main() -> None:
             kept = path.with_suffix(".part")
             save_model(model.fit(train, progress=bar, checkpoint=kept, resume=kept.exists(), on_epoch=print), path)
         model = load_model(path)
+        rows = [row for row in rows if row["copies"] != count]
         rows.append({"copies": count, "training_frames": train.sizes["frame"], "passes": options.passes})
         rows[-1] |= {"same": told(model, same, kind.names), "other": told(model, other, kind.names)}
         if changed:
@@ -278,7 +310,8 @@ def main() -> None:
         if options.causes and count == 1:
             about["causes"] = causes(options.set, model, options.work, options.causes, options.test_frames)
         with atomic_file(out) as part:
-            part.write_text(json.dumps({**about, "rows": rows}, indent=1) + "\n", encoding="utf-8")
+            found = {**about, "rows": sorted(rows, key=lambda row: row["copies"])}
+            part.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
     python scripts/measure_detection.py [FIRST [COUNT]]
 
-Writes docs/numbers/detection.json (or -o) and beside the documents' pictures detection-limits.png. Scenes are those of
-drawn_scenes.py, COUNT seeds of each of the twelve kinds from FIRST on with four cameras, and six times as many from
-FIRST + 1000 on with none; a seed that anything was chosen or fitted on is no measurement. Cameras on what is
-overexposed, which cannot be seen, are left out.
+Writes docs/numbers/detection.json and docs/images/detection-limits.png, or with -o a file and a picture of its name.
+Scenes are those of drawn_scenes.py, COUNT seeds of each of the twelve kinds from FIRST on with four cameras, and six
+times as many from FIRST + 1000 on with none; a seed that anything was chosen or fitted on is no measurement. Cameras on
+what is overexposed, which cannot be seen, are left out.
 
 A camera's height is given over the sensor's noise alone, and over what surrounds it as well: the standard deviation
 within 20 pixels of the registered difference of the same scene without cameras, over √2, as two frames' noise adds.
@@ -151,7 +151,7 @@ def drawn(listed: list[Camera]) -> Figure:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("first", type=int, nargs="?", default=71000, help="seed of the first scene of each kind")
+    parser.add_argument("first", type=int, nargs="?", default=88000, help="seed of the first scene of each kind")
     parser.add_argument("count", type=int, nargs="?", default=20, help="scenes of each kind")
     parser.add_argument("-o", "--out", type=Path, default=NUMBERS)
     options = parser.parse_args()
@@ -191,7 +191,8 @@ def main() -> None:
     }
     with atomic_file(options.out) as part:
         part.write_text(json.dumps(numbers, indent=1) + "\n", encoding="utf-8")
-    drawn(listed).savefig(PICTURE, dpi=150)
+    picture = PICTURE if options.out == NUMBERS else options.out.with_suffix(".png")
+    drawn(listed).savefig(picture, dpi=150)
 
 
 if __name__ == "__main__":

@@ -258,8 +258,8 @@ RULES = {Cached: "", Strict: ", of every spot", Adrift: ", motion not known"}
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("first", type=int, nargs="?", default=91000, help="seed of the first film of each kind")
-    parser.add_argument("count", type=int, nargs="?", default=4, help="films of each kind")
+    parser.add_argument("first", type=int, nargs="?", default=95000, help="seed of the first film of each kind")
+    parser.add_argument("count", type=int, nargs="?", default=10, help="films of each kind")
     parser.add_argument("rates", type=float, nargs="*", default=[0.01, 0.1], help="false alarms a frame that are asked")
     parser.add_argument("--shake", type=float, default=SHAKE, help="of the hand along each axis, RMS in pixels")
     parser.add_argument("-o", "--out", type=Path, default=NUMBERS)
