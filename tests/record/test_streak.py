@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tapetum.record.blobs import find_candidates
-from tapetum.record.labels import STEADY, _about, label_recording
+from tapetum.record.labels import ALONE, _about, label_recording
 from tapetum.record.patch import add_patch, bell
 from tapetum.record.recording import RecordingWriter, StreamInfo, open_recording
-from tapetum.record.streak import HALF, patch_of, sharpened
+from tapetum.record.streak import HALF, patch_of, sharpened, unsaturated
 
 
 def drawn(streak: tuple[float, float], place: tuple[float, float], seed: int) -> np.ndarray:
@@ -33,12 +33,12 @@ def test_a_streak_is_found_and_leaves_noise_alone(streak: tuple[float, float]) -
     round_ones = np.array([(one.x[0], one.y[0]) for one in found])
     patches = np.stack([patch_of(frame, *at) for frame, at in zip(frames, round_ones, strict=True)])
     sigmas = np.array([one.sigma[0] for one in found])
-    better, noise, shared, holds = sharpened(patches, round_ones, sigmas, np.full(40, 255.0))
-    assert holds.all()
-    errors = np.sqrt(((better - places) ** 2).mean(axis=0))
+    fits = sharpened(patches, round_ones, sigmas, np.full(40, 255.0))
+    assert fits.holds.all()
+    errors = np.sqrt(((fits.places - places) ** 2).mean(axis=0))
     # The residual is the noise, which neighbours do not share.
-    assert np.median(noise) == pytest.approx(2 / 150, rel=0.15)
-    assert np.median(shared) < 2 / 150 / 3
+    assert np.median(fits.noise) == pytest.approx(2 / 150, rel=0.15)
+    assert np.median(fits.shared) < 2 / 150 / 3
     length = float(np.hypot(*streak))
     assert (errors < (0.8 + 0.5 * length) * 2 / 150 * 1.3).all()
     if length > 3:
@@ -54,10 +54,10 @@ def test_patches_at_the_edge_and_spots_that_cannot_be_fitted() -> None:
     assert np.isnan(patch_of(frame, -100.0, 40.0)).all()
     given = np.array([[2.0, 40.0], [300.0, 40.0]])
     empty = np.full_like(patch, np.nan)
-    better, _, _, holds = sharpened(np.stack([patch, empty]), given, np.array([1.2, 1.2]), np.full(2, 255.0))
-    assert holds.tolist() == [True, False]
-    assert np.abs(better[0] - given[0]).max() < 0.1
-    assert (better[1] == given[1]).all()
+    fits = sharpened(np.stack([patch, empty]), given, np.array([1.2, 1.2]), np.full(2, 255.0))
+    assert fits.holds.tolist() == [True, False]
+    assert np.abs(fits.places[0] - given[0]).max() < 0.1
+    assert (fits.places[1] == given[1]).all()
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -99,13 +99,13 @@ def test_an_edge_under_the_spot_shows_in_what_neighbours_leave_alike() -> None:
             frame[:, 49:] += edge
         at = np.tile([48.0, 40.0], (20, 1))
         patches = np.stack([patch_of(frame, 48.0, 40.0) for frame in frames])
-        better, _, shared, holds = sharpened(patches, at, np.full(20, 1.2), np.full(20, 300.0))
-        assert holds.all()
-        shares.append(float(np.median(shared)))
-        errors.append(float(np.abs(better[:, 0].mean() - 48.2)))
+        fits = sharpened(unsaturated(patches, np.full(20, 300.0)), at, np.full(20, 1.2), np.full(20, 300.0))
+        assert fits.holds.all()
+        shares.append(float(np.median(fits.shared)))
+        errors.append(float(np.abs(fits.places[:, 0].mean() - 48.2)))
     assert errors[0] < 0.01 and errors[1] > 0.05
     assert shares[1] > 3 * shares[0]
-    assert 0.2 < errors[1] / (STEADY * shares[1]) < 4
+    assert 0.2 < errors[1] / (ALONE * shares[1]) < 4
 
 
 def test_what_stands_about_the_spot_counts_where_it_stands() -> None:

@@ -8,11 +8,13 @@ neighbouring pixels leave alike is no noise but edges under the spot, which draw
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import uniform_filter1d
 
-__all__ = ["HALF", "patch_of", "sharpened"]
+__all__ = ["HALF", "Streaks", "patch_of", "sharpened", "unsaturated"]
 
 Array = npt.NDArray[np.float64]
 Single = npt.NDArray[np.float32]
@@ -20,7 +22,7 @@ Single = npt.NDArray[np.float32]
 HALF = 12
 """px, half side of the patches: the streak of a spot that crosses a field of 1000 px in a second has 10 px in 10 ms."""
 _REACH = 3.0  # the fit sees this many of the spot's own sigma about the streak
-_STEPS = 8
+_STEPS, _MORE = 8, 4
 _MOVED = 3.0  # px, farther from where the round fit found it the spot is another one
 _SIGMA = (0.5, 4.0)  # px
 _LONGEST = 16.0  # px
@@ -39,32 +41,82 @@ def patch_of(image: npt.NDArray[np.generic], x: float, y: float) -> Single:
     return patch
 
 
-def sharpened(patches: Single, places: Array, sigmas: Array, full_scale: Array) -> tuple[Array, Array, Array, Array]:
+def unsaturated(patches: Single, full_scale: Array) -> Single:
+    """Return patches [N, S, S] with NaN for pixels that are saturated, at [N] digital numbers."""
+    return np.where(patches < 0.998 * full_scale[:, None, None], patches, np.float32(np.nan)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Streaks:
+    """Fits of a streak to the spots of N patches.
+
+    Attributes
+    ----------
+    places
+        [N, 2] px of the image; where a fit does not hold, the given ones.
+    noise, shared
+        The residual's RMS [N] over the spot's height, and that of the residual's means over 3 x 3 pixels [N], NaN where
+        there are none.
+    holds
+        [N], whether the fit holds.
+    state
+        [N, 5]: places from the middle of the patch (px), the logarithm of the spot's sigma (px), and how far the streak
+        goes along x and y (px).
+    heights
+        [N] digital numbers.
+    """
+
+    places: Array
+    noise: Array
+    shared: Array
+    holds: npt.NDArray[np.bool_]
+    state: Single
+    heights: Array
+
+    @property
+    def near(self) -> Array:
+        """Places [N, 2] from the middle of the patch, in pixels."""
+        return self.state[:, :2].astype(np.float64)
+
+    def away(self) -> Single:
+        """Return distances [N, P] of a patch's pixels from the streaks, in sigmas, in patches moved onto the spots."""
+        return np.sqrt(_from_line(_centred(self.state))) / np.exp(self.state[:, 2:3])
+
+    def pulls(self, frame: int) -> Array:
+        """Return how far a digital number more in each pixel moves the place of one frame's spot, [2, P] px, in a patch
+        moved onto the spot."""
+        state = _centred(self.state[frame : frame + 1])
+        weight = (_from_line(state) <= (_REACH * np.exp(state[:, 2:3])) ** 2).astype(np.float32)
+        rows = _rows(state, self.heights[frame : frame + 1, None].astype(np.float32)) * weight[:, None]
+        return np.linalg.solve(_normal(rows), rows.astype(np.float64))[0, :2]
+
+
+def sharpened(
+    patches: Single, places: Array, sigmas: Array, full_scale: Array, begin: Streaks | None = None
+) -> Streaks:
     """Fit a streak to each spot of a batch.
 
     Parameters
     ----------
     patches
-        [N, S, S] about the pixels nearest to the places, in digital numbers, as `patch_of` cuts them.
+        [N, S, S] about the pixels nearest to the places, in digital numbers, as `patch_of` cuts them; NaN pixels are
+        left out.
     places, sigmas
         [N, 2] and [N] px of round fits.
     full_scale
-        [N] digital numbers of saturation; saturated pixels are left out.
-
-    Returns
-    -------
-    tuple of numpy.ndarray
-        Places [N, 2]; the residual's RMS [N] over the spot's height, and that of the residual's means over 3 x 3 pixels
-        [N], NaN where there are none; and whether the fit holds, [N] bool: where it does not, the place is the given
-        one.
+        [N] digital numbers of saturation.
+    begin
+        Earlier fits of the same spots, to go on from.
     """
     near = places - np.rint(places)
     data = patches.reshape(len(patches), -1)
-    usable = np.isfinite(data) & (data < 0.998 * full_scale[:, None])
+    usable = np.isfinite(data)
     data = np.where(usable, data, 0).astype(np.float32)
-    state = _begin(data, usable, near, sigmas)
+    state, steps = _begin(data, usable, near, sigmas), _STEPS
+    if begin is not None:
+        state, steps = np.where(begin.holds[:, None], begin.state, state), _MORE
     linear, left, weight = _linear(data, usable, state)
-    for _ in range(_STEPS):
+    for _ in range(steps):
         _step(state, linear, left, weight)
         linear, left, weight = _linear(data, usable, state)
     count = weight.sum(axis=1)
@@ -78,7 +130,8 @@ def sharpened(patches: Single, places: Array, sigmas: Array, full_scale: Array) 
     whole = whole > 1 - 1e-3
     count = np.where(whole.any(axis=(1, 2)), whole.sum(axis=(1, 2)), np.nan)
     shared = np.sqrt((np.where(whole, means, 0) ** 2).sum(axis=(1, 2)) / count) / height
-    return np.rint(places) + np.where(holds[:, None], found, near), noise.astype(np.float64), shared, holds
+    at = np.rint(places) + np.where(holds[:, None], found, near)
+    return Streaks(at, noise.astype(np.float64), shared, holds, state, height.astype(np.float64))
 
 
 def _of_nine(pictures: Single) -> Single:
@@ -124,31 +177,52 @@ def _bells(state: Single) -> tuple[Single, list[Single]]:
     return total, slopes
 
 
-def _linear(data: Single, usable: npt.NDArray[np.bool_], state: Single) -> tuple[Single, Single, Single]:
-    """Return the best height and background (level, slopes) [N, 4], what they leave, and the weights, [N, P] each."""
-    size, along, across = (one[:, None] for one in state.T[2:])
+def _centred(state: Single) -> Single:
+    """Return states [N, 5] of spots in the middle of their patches."""
+    return np.column_stack([np.zeros((len(state), 2), np.float32), state[:, 2:]])
+
+
+def _from_line(state: Single) -> Single:
+    """Return the squared distances [N, P] of the pixels from the streaks, in pixels."""
+    along, across = (one[:, None] for one in state.T[3:])
     dx, dy = _X - state[:, :1], _Y - state[:, 1:2]
     part = np.clip((dx * along + dy * across) / np.maximum(along**2 + across**2, 1e-9), -0.5, 0.5)
-    away = (dx - part * along) ** 2 + (dy - part * across) ** 2
-    weight = (usable & (away <= (_REACH * np.exp(size)) ** 2)).astype(np.float32)
-    basis = np.stack([_bells(state)[0], np.ones_like(dx), _X + 0 * dx, _Y + 0 * dx], axis=1) * weight[:, None]
+    return (dx - part * along) ** 2 + (dy - part * across) ** 2
+
+
+def _linear(data: Single, usable: npt.NDArray[np.bool_], state: Single) -> tuple[Single, Single, Single]:
+    """Return the best height and background (level, slopes) [N, 4], what they leave, and the weights, [N, P] each."""
+    weight = (usable & (_from_line(state) <= (_REACH * np.exp(state[:, 2:3])) ** 2)).astype(np.float32)
+    flat = np.ones_like(data)
+    basis = np.stack([_bells(state)[0], flat, _X * flat, _Y * flat], axis=1) * weight[:, None]
     normal = (basis @ basis.swapaxes(1, 2)).astype(np.float64) + 1e-6 * np.eye(4)
     shown = (basis @ data[..., None]).astype(np.float64)
     found = np.linalg.solve(normal, shown)[..., 0].astype(np.float32)
     return found, (data - (found[:, None] @ basis)[:, 0]) * weight, weight
 
 
-def _step(state: Single, linear: Single, left: Single, weight: Single) -> None:
-    """Move the states by one damped Gauss-Newton step of all nine numbers."""
+def _rows(state: Single, heights: Single) -> Single:
+    """Return the derivatives [N, 9, P] of the pictures by the state, the height, and the background's level and
+    slopes."""
     bells, slopes = _bells(state)
-    rows = [linear[:, :1] * one for one in slopes] + [bells, np.ones_like(bells), _X + 0 * bells, _Y + 0 * bells]
-    jacobian = np.stack(rows, axis=1) * weight[:, None]
-    normal = (jacobian @ jacobian.swapaxes(1, 2)).astype(np.float64)
+    flat = np.ones_like(bells)
+    return np.stack([*(heights * one for one in slopes), bells, flat, _X * flat, _Y * flat], axis=1)
+
+
+def _normal(rows: Single) -> Array:
+    """Return the damped normal matrices [N, 9, 9] of derivatives [N, 9, P]."""
+    normal = (rows @ rows.swapaxes(1, 2)).astype(np.float64)
     diagonal = np.einsum("kii->ki", normal)
     # A streak of no length has no direction.
     diagonal[:, 3:5] += 1.0
     diagonal += 1e-3 * diagonal + 1e-6
-    step = np.linalg.solve(normal, (jacobian @ left[..., None]).astype(np.float64))[:, :5, 0]
+    return normal
+
+
+def _step(state: Single, linear: Single, left: Single, weight: Single) -> None:
+    """Move the states by one damped Gauss-Newton step of all nine numbers."""
+    rows = _rows(state, linear[:, :1]) * weight[:, None]
+    step = np.linalg.solve(_normal(rows), (rows @ left[..., None]).astype(np.float64))[:, :5, 0]
     state += np.clip(step, [-1, -1, -0.3, -2, -2], [1, 1, 0.3, 2, 2]).astype(np.float32)
     state[:, :2] = np.clip(state[:, :2], -HALF / 2, HALF / 2)
     state[:, 2] = np.clip(state[:, 2], *np.log(_SIGMA))

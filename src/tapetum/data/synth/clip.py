@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from tapetum.data.synth.plan import Video
+from tapetum.record.labels import REACH
 from tapetum.record.recording import Recording, RecordingSource, StreamInfo
 from tapetum.record.smoother import block_seconds
 from tapetum.record.source import Frame
@@ -23,9 +24,10 @@ __all__ = ["Clip"]
 
 T = TypeVar("T")
 
-MARGIN = LONGEST + 2 * NEIGHBOURS + 2
+MARGIN = LONGEST + 2 * NEIGHBOURS + 2 + REACH
 """Target frames on either side that affect a place: `tapetum.record.spot.follow` lets a row of doubtful ones confirm
-each other between good ones, which it compares with their neighbours; interpolation uses one more beyond the next.
+each other between good ones, which it compares with their neighbours; interpolation uses one more beyond the next; and
+what stands under a spot is seen in frames up to `REACH` away.
 Smoothing needs whole blocks besides: `tapetum.record.smoother.block_seconds`."""
 
 _BATCH = 16
