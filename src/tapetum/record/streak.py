@@ -80,7 +80,8 @@ class Streaks:
 
     def away(self) -> Single:
         """Return distances [N, P] of a patch's pixels from the streaks, in sigmas, in patches moved onto the spots."""
-        return np.sqrt(_from_line(_centred(self.state))) / np.exp(self.state[:, 2:3])
+        away = np.sqrt(_from_line(_centred(self.state))) / np.exp(self.state[:, 2:3])
+        return away.astype(np.float32)
 
     def pulls(self, frame: int) -> Array:
         """Return how far a digital number more in each pixel moves the place of one frame's spot, [2, P] px, in a patch
@@ -88,7 +89,7 @@ class Streaks:
         state = _centred(self.state[frame : frame + 1])
         weight = (_from_line(state) <= (_REACH * np.exp(state[:, 2:3])) ** 2).astype(np.float32)
         rows = _rows(state, self.heights[frame : frame + 1, None].astype(np.float32)) * weight[:, None]
-        return np.linalg.solve(_normal(rows), rows.astype(np.float64))[0, :2]
+        return np.asarray(np.linalg.solve(_normal(rows), rows.astype(np.float64))[0, :2], np.float64)
 
 
 def sharpened(
@@ -198,7 +199,8 @@ def _linear(data: Single, usable: npt.NDArray[np.bool_], state: Single) -> tuple
     normal = (basis @ basis.swapaxes(1, 2)).astype(np.float64) + 1e-6 * np.eye(4)
     shown = (basis @ data[..., None]).astype(np.float64)
     found = np.linalg.solve(normal, shown)[..., 0].astype(np.float32)
-    return found, (data - (found[:, None] @ basis)[:, 0]) * weight, weight
+    left = (data - (found[:, None] @ basis)[:, 0]) * weight
+    return found, left.astype(np.float32), weight
 
 
 def _rows(state: Single, heights: Single) -> Single:
