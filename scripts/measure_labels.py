@@ -5,7 +5,7 @@ place (0.05 px of 968 wide); with --film the bench renders the frames and the fi
 units of 1.5e-4 of the field, the RMS errors of a straight line, of the cubic, of the smoother whose spectrum is fitted
 to the recording, and of a Gaussian process that knows the true spectrum, the least that any linear estimate reaches;
 and the shares of labels that the stated 90 % intervals hold along x and y, with the 90 % interval of these shares by
-drawing films anew: labels of one film err alike. Seeds below 200 tuned the smoother, and 720 to 759 what stands about a
+drawing films anew: labels of one film err alike. Seeds below 200 tuned the smoother, and 720 to 839 what stands about a
 spot; report others. With --motion random the tremor's band and size are drawn, between 2 and 14.5 Hz. --locked is a
 case with equal rates, a lag of 21 ms and a global shutter.
 """
