@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tapetum.record import labels
 from tapetum.record.blobs import find_candidates
 from tapetum.record.labels import ALONE, _about, label_recording
 from tapetum.record.patch import add_patch, bell
@@ -14,9 +15,11 @@ from tapetum.record.recording import RecordingWriter, StreamInfo, open_recording
 from tapetum.record.streak import HALF, patch_of, sharpened, unsaturated
 
 
-def drawn(streak: tuple[float, float], place: tuple[float, float], seed: int) -> np.ndarray:
-    """An 8-bit frame of a wall of 60 with noise of 2, and a spot of 150 that moves over a line in the exposure."""
+def drawn(streak: tuple[float, float], place: tuple[float, float], seed: int, edge: float = 0.0) -> np.ndarray:
+    """An 8-bit frame of a wall of 60 with noise of 2, lighter by `edge` right of the spot, and a spot of 150 that moves
+    over a line in the exposure."""
     frame = np.full((80, 96), 60.0, np.float32)
+    frame += edge * np.clip(np.arange(96, dtype=np.float32) - place[0] - 0.5, 0, 1)
     for part in (np.arange(24) + 0.5) / 24 - 0.5:
         spot = bell((place[0] + part * streak[0], place[1] + part * streak[1]), 150.0 / 24, 1.2, 12)
         add_patch(frame, spot, 1.0)
@@ -60,35 +63,71 @@ def test_patches_at_the_edge_and_spots_that_cannot_be_fitted() -> None:
     assert (fits.places[1] == given[1]).all()
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-def test_labels_of_a_quick_hand_state_how_far_they_are_off(axis: int, tmp_path: Path) -> None:
-    """A laser that swings along one axis, in frames of 60 a second of which every fourth is the probe's moment."""
-    times = np.arange(200) / 60
-    swing = np.zeros((len(times), 2))
+def swinging(path: Path, axis: int, count: int, edge: float = 0.0) -> np.ndarray:
+    """Record a laser that swings along one axis, in frames of 60 a second of which every fourth is the probe's moment;
+    return its true places [N, 2]."""
+    times = np.arange(count) / 60
+    swing = np.zeros((count, 2))
     swing[:, axis] = 8 * np.sin(2 * np.pi * 5 * times)
     streak = np.zeros_like(swing)
     streak[:, axis] = 8 * 2 * np.pi * 5 * np.cos(2 * np.pi * 5 * times) * 0.015
     middle = np.array([48.0, 40.0])
     streams = {"probe": StreamInfo(20, 20), "target": StreamInfo(80, 96, rate=60.0)}
-    with RecordingWriter(tmp_path / "swing.rec", streams=streams, rate=15, start_utc_ns=0) as writer:
+    with RecordingWriter(path, streams=streams, rate=15, start_utc_ns=0) as writer:
         # The mean over the exposure.
         shown = middle + swing * np.sinc(5 * 0.015)
         for n, (moment, place) in enumerate(zip(times, shown, strict=True)):
             at = {"monotonic_ns": n, "utc_ns": round(moment * 1e9)}
-            image = drawn(tuple(streak[n]), tuple(place), n)
+            image = drawn(tuple(streak[n]), tuple(place), n, edge)
             writer.write("target", image, exposure=0.015, **at)
             if n % 4 == 0:
                 writer.write("probe", np.zeros((20, 20), np.uint8), **at)
+    return middle + swing
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_labels_of_a_quick_hand_state_how_far_they_are_off(axis: int, tmp_path: Path) -> None:
+    truth = swinging(tmp_path / "swing.rec", axis, 200)[::4]
     recording = open_recording(tmp_path / "swing.rec")
     label_recording(recording)
     table = recording.labels()
     assert table is not None
     for n, name in enumerate("xy"):
         spot, stated = (table[one].to_numpy() for one in (f"spot_{name}", f"gaze_{name}_std"))
-        error = np.sqrt(np.nanmean((spot - (middle + swing)[::4, n]) ** 2))
+        error = np.sqrt(np.nanmean((spot - truth[:, n]) ** 2))
         said = float(np.sqrt(np.nanmean(stated**2))) * (96, 80)[n]
         assert error < said < 4 * error, name
         assert error < 0.025, name
+
+
+def test_an_edge_under_the_spot_is_taken_off_before_labels_are_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = swinging(tmp_path / "swing.rec", 1, 100, 60.0)[::4]
+    recording, off = open_recording(tmp_path / "swing.rec"), []
+    for rounds in (0, labels.ROUNDS):
+        monkeypatch.setattr(labels, "ROUNDS", rounds)
+        label_recording(recording)
+        table = recording.labels()
+        assert table is not None
+        off.append(float(np.nanmean(table["spot_x"].to_numpy() - truth[:, 0])))
+    stated = float(np.nanmedian(table["gaze_x_std"].to_numpy())) * 96
+    assert abs(off[0]) > 0.1 and abs(off[1]) < 0.3 * abs(off[0])
+    assert abs(off[1]) < 2.5 * stated < 0.15
+
+
+def test_labels_do_not_depend_on_how_many_spots_are_fitted_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swinging(tmp_path / "swing.rec", 0, 100)
+    recording, told = open_recording(tmp_path / "swing.rec"), []
+    for batch in (512, 24):
+        monkeypatch.setattr(labels, "BATCH", batch)
+        label_recording(recording)
+        table = recording.labels()
+        assert table is not None
+        told.append([table[one].to_numpy() for one in ("gaze_x", "gaze_y", "gaze_x_std", "gaze_y_std")])
+    np.testing.assert_allclose(told[1], told[0], atol=1e-7)
 
 
 def test_an_edge_under_the_spot_shows_in_what_neighbours_leave_alike() -> None:

@@ -37,7 +37,7 @@ ABOUT, FEWEST_ABOUT = 0.1, 5  # s before and after a label, and frames at least,
 ROUNDS = 2  # of what stands under the spots, which takes their places, and of their places, which take that
 REACH = 2 * GROUP * ROUNDS
 """Frames on either side that what stands under a spot takes part of."""
-BATCH = 256  # spots that are sharpened at once
+BATCH = 512  # spots that are sharpened at once
 FEW = 0.02  # fraction of frames with a spot below which there is no laser in the video
 
 
