@@ -118,11 +118,13 @@ def _fitted(sights: list[_Sight], chosen: npt.NDArray[np.bool_]) -> tuple[Array,
         under, unknown = surroundings(patches, found, chosen, np.array([one.number for one in sights]))
         found = sharpened(patches - under, at, sigma, saturated, found)
     round_one = 1 / np.maximum(snr, 1e-3)
-    shared = np.where(found.holds, found.shared, round_one / 3)
+    noise = np.where(found.holds, found.noise, round_one)
+    # Means of nine pixels have a third of their noise, where saturation leaves no nine side by side.
+    shared = np.where(found.holds & np.isfinite(found.shared), found.shared, noise / 3)
     # Without surroundings nothing is known of what the spot hides.
     known = np.hypot(UNKNOWN * unknown, LEFT * shared[:, None])
     common = np.where(np.isfinite(unknown), known, ALONE * shared[:, None])
-    return found.places, np.where(found.holds, found.noise, round_one), common
+    return found.places, noise, common
 
 
 def _path(joined: Joined, places: np.ndarray, samples: Samples, times: np.ndarray, rate: float) -> Smoothed:
@@ -147,7 +149,6 @@ def _path(joined: Joined, places: np.ndarray, samples: Samples, times: np.ndarra
 
 def _about(times: Array, values: Array, at: Array, rate: float) -> Array:
     """Return the median [T] of values [K] at times [K] (s), at a nominal rate in Hz, about each time of `at` [T]."""
-    values = np.where(np.isfinite(values), values, np.nanmedian(values))
     middle = median_filter(values, min(max(2 * round(ABOUT * rate) + 1, FEWEST_ABOUT), len(values)), mode="nearest")
     return middle[np.clip(np.searchsorted(times, at), 0, len(times) - 1)]
 
