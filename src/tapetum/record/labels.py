@@ -30,7 +30,7 @@ Array = npt.NDArray[np.float64]
 WIDEST = 0.005  # of the field: a label with a larger deviation is refused
 PLACE = 1.0  # px, deviation of a spot's place over the fit's residual in heights of the spot (measured)
 FLOOR = 0.005  # px, least deviation of a spot's place
-# Deviation that places have in common (chosen on 116 simulated films): in what is unknown of the spot's surroundings,
+# Deviation that places have in common (chosen on 112 simulated films): in what is unknown of the spot's surroundings,
 # and in what neighbouring pixels leave alike, in heights of the spot (px), beside that and where nothing else is known.
 UNKNOWN, LEFT, ALONE = 1.35, 1.0, 6.3
 ABOUT, FEWEST_ABOUT = 0.1, 5  # s before and after a label, and frames at least, over which a median of these is taken
