@@ -31,7 +31,7 @@ _FEWEST = 3  # frames in which a pixel is clear of the spot for it to be known
 _RADIUS = 9.0  # px, how far the process looks
 _LEAST = 40  # pixels that it needs
 # Its edges: narrow across and long along them (px), in two directions at right angles, turned as most edges around the
-# spot are; a part without direction and one of noise, in parts of the edges' variance (chosen on films of simulated rooms).
+# spot are; a part without direction and one of noise, in parts of the edges' variance (chosen in simulated rooms).
 _ACROSS, _ALONG, _DIRECTIONS, _ROUND, _NOISE = 2.0, 40.0, 2, 0.2, 5e-4
 _TURNS = 18  # steps of the angle between directions
 _SIDE = 2 * HALF + 1
