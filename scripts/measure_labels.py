@@ -30,6 +30,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from tapetum.bench import load_scene
 from tapetum.data.synth.clip import Clip
 from tapetum.data.synth.plan import Video
+from tapetum.errors import InputError
 from tapetum.record import HandMotion, Session, label_recording
 from tapetum.record.beats import CameraClock
 from tapetum.record.frames import open_frames
@@ -256,7 +257,10 @@ def main() -> None:
     options.add_argument("--photographs", type=Path, metavar="FOLDER")
     given = options.parse_args()
     if given.photographs is not None:
-        on_photographs(given.photographs)
+        try:
+            on_photographs(given.photographs)
+        except InputError as error:
+            options.error(str(error))
         return
     found = {}
     for kind in given.motion:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from tapetum.record.streak import HALF, Streaks, sharpened
+from tapetum.record.labels import UNKNOWN
+from tapetum.record.streak import HALF, Streaks, sharpened, unsaturated
 from tapetum.record.surroundings import GROUP, surroundings
 
 COUNT, HEIGHT, SIGMA, NOISE = 3 * GROUP, 200.0, 1.2, 2.0
@@ -21,7 +22,7 @@ def edge(angle: float, offset: float, step: float) -> np.ndarray:
     return gaussian_filter(60.0 + step * beyond, 0.8 * FINE)
 
 
-def filmed(wall: np.ndarray, seed: int, count: int = COUNT) -> tuple[np.ndarray, np.ndarray]:
+def filmed(wall: np.ndarray, seed: int, count: int = COUNT, height: float = HEIGHT) -> tuple[np.ndarray, np.ndarray]:
     """Patches [N, S, S] of frames in which the camera turns, and true places [N, 2] of the spot in them."""
     rng = np.random.default_rng(seed)
     places = rng.uniform(-0.5, 0.5, (count, 2))
@@ -29,7 +30,7 @@ def filmed(wall: np.ndarray, seed: int, count: int = COUNT) -> tuple[np.ndarray,
     patches = []
     for px, py in places:
         at = [(y - py + 2 * HALF) * FINE, (x - px + 2 * HALF) * FINE]
-        spot = HEIGHT * np.exp(-((x - px) ** 2 + (y - py) ** 2) / (2 * SIGMA**2))
+        spot = height * np.exp(-((x - px) ** 2 + (y - py) ** 2) / (2 * SIGMA**2))
         patches.append(map_coordinates(wall, at, order=1) + spot + NOISE * rng.standard_normal((SIDE, SIDE)))
     return np.array(patches, np.float32), places
 
@@ -64,7 +65,8 @@ def test_an_edge_under_the_spot_hardly_draws_it_aside(angle: float, offset: floa
 def test_what_is_said_to_be_unknown_is_how_far_walls_draw_spots_aside() -> None:
     rng, scores = np.random.default_rng(8), []
     for seed in range(40):
-        wall = sum(edge(rng.uniform(0, np.pi), rng.uniform(-6, 6), rng.normal(0, 30)) for _ in range(3)) - 120.0
+        edges = [edge(rng.uniform(0, np.pi), rng.uniform(-6, 6), rng.normal(0, 30)) for _ in range(3)]
+        wall = np.sum(edges, axis=0) - 120.0
         grain = gaussian_filter(rng.standard_normal(wall.shape), 2 * FINE)
         patches, places = filmed(wall + 3 * grain / grain.std(), seed)
         found, unknown = cleared(patches)
@@ -72,6 +74,23 @@ def test_what_is_said_to_be_unknown_is_how_far_walls_draw_spots_aside() -> None:
         scores.append((found.places - places).mean(axis=0) / np.hypot(np.median(unknown, axis=0), noise))
     assert 0.9 < np.sqrt(np.mean(np.square(scores))) < 1.8
     assert np.mean(np.abs(scores) < 1.645) > 0.75
+
+
+def test_a_fine_texture_under_a_saturated_spot_is_partly_known_and_the_rest_is_stated() -> None:
+    """Frames moved onto each other must keep the texture, and pixels that are saturated say nothing of the place."""
+    alone, left, stated = [], [], []
+    for seed in range(12):
+        rng = np.random.default_rng([seed, 3])
+        grain = gaussian_filter(rng.standard_normal((FINE * (4 * HALF + 1),) * 2), 1.5 * FINE)
+        patches, places = filmed(100 + 15 * grain / grain.std(), seed, height=320.0)
+        patches = unsaturated(np.minimum(patches, 255), np.full(COUNT, 255.0))
+        found, unknown = cleared(patches)
+        alone.append((fitted(patches).places - places).mean(axis=0))
+        left.append((found.places - places).mean(axis=0))
+        stated.append(UNKNOWN * np.median(unknown, axis=0))
+    rms = [float(np.sqrt(np.mean(np.square(one)))) for one in (alone, left, np.divide(left, stated))]
+    assert rms[1] < 0.6 * rms[0]
+    assert 0.7 < rms[2] < 1.4
 
 
 def test_frames_far_away_take_no_part() -> None:

@@ -30,9 +30,10 @@ Array = npt.NDArray[np.float64]
 WIDEST = 0.005  # of the field: a label with a larger deviation is refused
 PLACE = 1.0  # px, deviation of a spot's place over the fit's residual in heights of the spot (measured)
 FLOOR = 0.005  # px, least deviation of a spot's place
-# Deviation that places have in common (chosen on 112 simulated films): in what is unknown of the spot's surroundings,
-# and in what neighbouring pixels leave alike, in heights of the spot (px), beside that and where nothing else is known.
-UNKNOWN, LEFT, ALONE = 1.35, 1.0, 6.3
+# Deviation that places have in common, chosen on simulated films and real photographs: in what is unknown of what
+# surrounds the spot; in what neighbouring pixels leave alike of the spot alone, beyond white noise; and, where nothing
+# else is known, in all that they leave alike. The latter two are in heights of the spot (px).
+UNKNOWN, LEFT, ALONE = 1.6, 8.0, 6.3
 ABOUT, FEWEST_ABOUT = 0.1, 5  # s before and after a label, and frames at least, over which a median of these is taken
 ROUNDS = 2  # of what stands under the spots, which takes their places, and of their places, which take that
 REACH = 2 * GROUP * ROUNDS
@@ -114,6 +115,7 @@ def _fitted(sights: list[_Sight], chosen: npt.NDArray[np.bool_]) -> tuple[Array,
     patches, saturated = np.stack([one.patch for one in sights]), np.array([one.saturated for one in sights])
     patches = unsaturated(patches, saturated)
     found, unknown = sharpened(patches, at, sigma, saturated), np.full((len(sights), 2), np.nan)
+    alike = np.maximum(median_filter(np.where(found.holds, found.excess, 0.0), 2 * GROUP + 1, mode="nearest"), 0)
     for _ in range(ROUNDS):
         under, unknown = surroundings(patches, found, chosen, np.array([one.number for one in sights]))
         found = sharpened(patches - under, at, sigma, saturated, found)
@@ -122,7 +124,7 @@ def _fitted(sights: list[_Sight], chosen: npt.NDArray[np.bool_]) -> tuple[Array,
     # Means of nine pixels have a third of their noise, where saturation leaves no nine side by side.
     shared = np.where(found.holds & np.isfinite(found.shared), found.shared, noise / 3)
     # Without surroundings nothing is known of what the spot hides.
-    known = np.hypot(UNKNOWN * unknown, LEFT * shared[:, None])
+    known = np.hypot(UNKNOWN * unknown, LEFT * np.sqrt(alike)[:, None])
     common = np.where(np.isfinite(unknown), known, ALONE * shared[:, None])
     return found.places, noise, common
 

@@ -8,7 +8,7 @@ neighbouring pixels leave alike is no noise but edges under the spot, which draw
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,7 @@ _STEPS, _MORE = 8, 4
 _MOVED = 3.0  # px, farther from where the round fit found it the spot is another one
 _SIGMA = (0.5, 4.0)  # px
 _LONGEST = 16.0  # px
-_NODES, _WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(7))
+_NODES, _WEIGHTS = ((part / 2).astype(np.float32)[:, None] for part in np.polynomial.legendre.leggauss(7))
 _Y, _X = (axis.ravel().astype(np.float32) for axis in np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1])
 
 
@@ -83,13 +83,26 @@ class Streaks:
         away = np.sqrt(_from_line(_centred(self.state))) / np.exp(self.state[:, 2:3])
         return away.astype(np.float32)
 
-    def pulls(self, frame: int) -> Array:
-        """Return how far a digital number more in each pixel moves the place of one frame's spot, [2, P] px, in a patch
-        moved onto the spot."""
-        state = _centred(self.state[frame : frame + 1])
-        weight = (_from_line(state) <= (_REACH * np.exp(state[:, 2:3])) ** 2).astype(np.float32)
-        rows = _rows(state, self.heights[frame : frame + 1, None].astype(np.float32)) * weight[:, None]
-        return np.asarray(np.linalg.solve(_normal(rows), rows.astype(np.float64))[0, :2], np.float64)
+    @property
+    def excess(self) -> Array:
+        """How much more [N] the variance of the means over nine pixels is than white noise leaves, over the squared
+        height: negative by chance, and 0 where saturation leaves no nine pixels side by side."""
+        return np.where(np.isfinite(self.shared), self.shared**2 - (self.noise / 3) ** 2, 0.0)
+
+    def bells(self) -> Single:
+        """Return the spots' light [N, P] without what is behind it, in digital numbers."""
+        return _streaks(self.state) * self.heights[:, None].astype(np.float32)
+
+    def pulls(self, usable: npt.NDArray[np.bool_]) -> Single:
+        """Return how far a digital number more in each pixel moves the places along x and y, [N, 2, P] px; 0 for pixels
+        that are not usable [N, P]."""
+        weight = (usable & (_from_line(self.state) <= (_REACH * np.exp(self.state[:, 2:3])) ** 2)).astype(np.float32)
+        rows = _rows(self.state, self.heights[:, None].astype(np.float32)) * weight[:, None]
+        return np.linalg.solve(_normal(rows), rows.astype(np.float64))[:, :2].astype(np.float32)
+
+    def of(self, frames: npt.NDArray[np.int64]) -> Streaks:
+        """Return the fits to some of the patches."""
+        return Streaks(**{field.name: getattr(self, field.name)[frames] for field in fields(self)})
 
 
 def sharpened(
@@ -159,23 +172,36 @@ def _begin(data: Single, usable: npt.NDArray[np.bool_], near: Array, sigmas: Arr
     return np.column_stack([near, np.log(np.clip(thin, *_SIGMA)), streak]).astype(np.float32)
 
 
-def _bells(state: Single) -> tuple[Single, list[Single]]:
-    """Return the streaks [N, P], and their derivatives by the five numbers of the state."""
-    x, y, size, along, across = (one[:, None] for one in state.T)
-    sigma2 = np.exp(2 * size)
-    shape = (len(state), len(_X))
-    total, slopes = np.zeros(shape, np.float32), [np.zeros(shape, np.float32) for _ in range(5)]
-    for node, part in zip(_NODES.astype(np.float32), _WEIGHTS.astype(np.float32), strict=True):
-        dx, dy = _X - x - node * along, _Y - y - node * across
-        r2 = dx * dx + dy * dy
-        bell = part * np.exp(-r2 / (2 * sigma2))
-        total += bell
-        bell /= sigma2
-        for n, one in enumerate((bell * dx, bell * dy, bell * r2)):
-            slopes[n] += one
-            if n < 2:
-                slopes[3 + n] += node * one
-    return total, slopes
+def _lines(state: Single) -> tuple[Single, Single, Single, Single]:
+    """Return, for every node of the streaks, distances along x and along y [N, K, S] (px), and the bells along both,
+    whose products are the node's bell."""
+    x, y, size, along, across = (one[:, None, None] for one in state.T)
+    middle = np.arange(-HALF, HALF + 1, dtype=np.float32)
+    dx, dy = middle - x - _NODES * along, middle - y - _NODES * across
+    half = (-0.5 * np.exp(-2 * size)).astype(np.float32)
+    bell_x, bell_y = (np.exp(half * one * one).astype(np.float32) for one in (dx, dy))
+    return dx, dy, bell_x, bell_y
+
+
+def _product(across: npt.NDArray[np.floating], down: npt.NDArray[np.floating]) -> Single:
+    """Return sums over nodes [N, P] of the products of what stands along x and along y, [N, K, S] each."""
+    return (down.swapaxes(1, 2) @ across).reshape(len(down), -1).astype(np.float32, copy=False)
+
+
+def _streaks(state: Single) -> Single:
+    """Return the streaks [N, P]."""
+    _, _, bell_x, bell_y = _lines(state)
+    return _product(_WEIGHTS * bell_x, bell_y)
+
+
+def _slopes(state: Single) -> list[Single]:
+    """Return the streaks' derivatives [N, P] by the five numbers of the state."""
+    dx, dy, bell_x, bell_y = _lines(state)
+    bell_x *= _WEIGHTS * np.exp(-2 * state[:, 2, None, None])
+    slope_x, slope_y = dx * bell_x, dy * bell_y
+    size = _product(dx * slope_x, bell_y) + _product(bell_x, dy * slope_y)
+    by_x, by_y = _product(slope_x, bell_y), _product(bell_x, slope_y)
+    return [by_x, by_y, size, _product(_NODES * slope_x, bell_y), _product(_NODES * bell_x, slope_y)]
 
 
 def _centred(state: Single) -> Single:
@@ -195,7 +221,7 @@ def _linear(data: Single, usable: npt.NDArray[np.bool_], state: Single) -> tuple
     """Return the best height and background (level, slopes) [N, 4], what they leave, and the weights, [N, P] each."""
     weight = (usable & (_from_line(state) <= (_REACH * np.exp(state[:, 2:3])) ** 2)).astype(np.float32)
     flat = np.ones_like(data)
-    basis = np.stack([_bells(state)[0], flat, _X * flat, _Y * flat], axis=1) * weight[:, None]
+    basis = np.stack([_streaks(state), flat, _X * flat, _Y * flat], axis=1) * weight[:, None]
     normal = (basis @ basis.swapaxes(1, 2)).astype(np.float64) + 1e-6 * np.eye(4)
     shown = (basis @ data[..., None]).astype(np.float64)
     found = np.linalg.solve(normal, shown)[..., 0].astype(np.float32)
@@ -206,9 +232,9 @@ def _linear(data: Single, usable: npt.NDArray[np.bool_], state: Single) -> tuple
 def _rows(state: Single, heights: Single) -> Single:
     """Return the derivatives [N, 9, P] of the pictures by the state, the height, and the background's level and
     slopes."""
-    bells, slopes = _bells(state)
-    flat = np.ones_like(bells)
-    return np.stack([*(heights * one for one in slopes), bells, flat, _X * flat, _Y * flat], axis=1)
+    streaks = _streaks(state)
+    flat = np.ones_like(streaks)
+    return np.stack([*(heights * one for one in _slopes(state)), streaks, flat, _X * flat, _Y * flat], axis=1)
 
 
 def _normal(rows: Single) -> Array:

@@ -26,7 +26,9 @@ Single = npt.NDArray[np.float32]
 GROUP = 8
 """Successive frames, by their numbers, that share a picture of what is under the spot; the groups before and after them
 take part in it."""
-_CLEAR = 3.0  # of the spot's sigma about its streak: beyond, its light is a hundredth of its height
+# Of the spot's sigma about its streak: nearer, a pixel without the fitted spot says too little of the wall (chosen in
+# simulated rooms).
+_CLEAR = 2.2
 _FEWEST = 3  # frames in which a pixel is clear of the spot for it to be known
 _RADIUS = 9.0  # px, how far the process looks
 _LEAST = 40  # pixels that it needs
@@ -62,10 +64,11 @@ def surroundings(
         along x and y (px) what is not known of them draws a place, [N, 2], NaN where there is no picture.
     """
     pictures, deviations = np.zeros(patches.shape, np.float32), np.full((len(patches), 2), np.nan)
-    usable = good & found.holds
     lengths, groups = np.hypot(*found.state[:, 3:].T), numbers // GROUP
+    usable = good & found.holds
+    # What is around a spot shows through its flanks, where the fitted spot is taken off.
     moved = np.full_like(patches, np.nan)
-    moved[usable] = _moved(patches[usable], found.near[usable])
+    moved[usable] = _moved((patches - found.bells().reshape(patches.shape))[usable], found.near[usable])
     moved = np.where(found.away() > _CLEAR, moved.reshape(len(moved), -1), np.nan)
     for first, last in pairwise([*np.unique(groups, return_index=True)[1], len(groups)]):
         about = np.flatnonzero((np.abs(groups - groups[first]) <= 1) & usable)
@@ -84,26 +87,39 @@ def surroundings(
         whole[_DISC] = picture
         shown = np.broadcast_to(whole.reshape(_SIDE, _SIDE).astype(np.float32), (len(members), _SIDE, _SIDE))
         pictures[members] = _moved(shown, -found.near[members])
-        middle = members[np.argsort(lengths[members])[len(members) // 2]]
-        deviations[members] = np.linalg.norm(found.pulls(int(middle))[:, _DISC] @ unknown, axis=1)
+        pulls = found.of(members).pulls(np.isfinite(patches[members]).reshape(len(members), -1))
+        for axis in (0, 1):
+            about_spot = _moved(pulls[:, axis].reshape(shown.shape), found.near[members]).reshape(len(members), -1)
+            deviations[members, axis] = np.linalg.norm(np.nan_to_num(about_spot[:, _DISC]) @ unknown, axis=1)
     return pictures, deviations
 
 
 def _moved(pictures: Single, by: Array) -> Single:
-    """Return pictures [N, S, S] read at their pixels' places plus `by` [N, 2] px, linearly between pixels; NaN where
-    one of these is NaN or outside."""
+    """Return pictures [N, S, S] read at their pixels' places plus `by` [N, 2] px, by the cubic through four pixels
+    along x and y, which keeps fine textures; NaN where one of these is NaN or outside."""
     whole = np.floor(by).astype(int)
-    parts = (by - whole).astype(np.float32)
-    out = np.zeros(pictures.shape, np.float32)
-    grid, frames = np.arange(_SIDE), np.arange(len(pictures))[:, None, None]
-    for right in (0, 1):
-        for down in (0, 1):
-            share = (np.abs(1 - right - parts[:, 0]) * np.abs(1 - down - parts[:, 1]))[:, None, None]
-            columns, rows = grid + whole[:, :1] + right, grid + whole[:, 1:] + down
-            inside = ((columns >= 0) & (columns < _SIDE))[:, None] & ((rows >= 0) & (rows < _SIDE))[:, :, None]
-            values = pictures[frames, rows.clip(0, _SIDE - 1)[:, :, None], columns.clip(0, _SIDE - 1)[:, None]]
-            out += np.where(share > 0, np.where(inside, share * values, np.nan), 0)
-    return out
+    part = (by - whole).astype(np.float32)[:, :, None]
+    # Catmull and Rom's: 0 at the other three pixels for places in the middle of one.
+    weights = np.concatenate(
+        [
+            part * (-0.5 + part * (1 - 0.5 * part)),
+            1 + part**2 * (1.5 * part - 2.5),
+            part * (0.5 + part * (2 - 1.5 * part)),
+            part**2 * (0.5 * part - 0.5),
+        ],
+        axis=2,
+    )
+    frames = np.arange(len(pictures))[:, None]
+    for axis in (0, 1):
+        lines = pictures.swapaxes(1, 2) if axis == 0 else pictures
+        total = np.zeros_like(lines)
+        for tap in range(4):
+            at = np.arange(_SIDE) + whole[:, axis, None] + tap - 1
+            share = np.where((at >= 0) & (at < _SIDE), weights[:, axis, tap, None], np.nan)[:, :, None]
+            read = lines[frames, at.clip(0, _SIDE - 1)]
+            total += np.where(weights[:, axis, tap, None, None] == 0, 0, share * read)
+        pictures = total.swapaxes(1, 2) if axis == 0 else total
+    return pictures
 
 
 @cache
