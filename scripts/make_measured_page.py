@@ -20,6 +20,7 @@ from tapetum.files import atomic_file
 
 ROOT = Path(__file__).parents[1]
 NUMBERS = ROOT / "docs" / "numbers"
+ELSEWHERE = 20.0  # stated deviations, farther off a reading is at another maximum than the right one
 # Each template, and what is made of it.
 PAGES = {
     name: ROOT / "docs" / place
@@ -179,15 +180,21 @@ def twins(units: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             "misfit": max(unit["misfit_lit"] for unit in own),
             "before": [pick(unit["before"] for unit in own) for pick in (min, max)],
             "over": [unit["read_over_limit"] for unit in own],
-            "over_mean": float(np.mean([unit["read_over_limit"] for unit in own])),
+            "over_median": float(np.median([unit["read_over_limit"] for unit in own])),
             "seconds": [unit["seconds"] for unit in own],
             "mae": np.abs(errors).mean(axis=0).tolist(),
             "read": len(errors),
             "read_units": len(read),
+            "elsewhere": {unit["seed"]: count for unit in read if (count := _elsewhere(unit))},
             "held": float(np.mean(np.concatenate([unit["held"] for unit in read]))),
             "networks": [unit for unit in own if "networks" in unit],
         }
     return told
+
+
+def _elsewhere(unit: Mapping[str, Any]) -> int:
+    """Return how many readings of a twin are at another maximum than the right one."""
+    return int((np.abs(unit["errors"]) > ELSEWHERE * np.array(unit["stated"])).any(axis=1).sum())
 
 
 def _numbers(name: str) -> Any:

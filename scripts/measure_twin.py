@@ -119,7 +119,7 @@ def reading(found: Twin, true: Scene, shown: Scene, seed: int, count: int) -> di
     ideal = SimulationFit(true, nuisances=unknown, starts=2, nodes=2)
     fine = found.options["accuracy"] if isinstance(true.target.lens, PrescriptionLens) else None
     model = SimulationFit(found.scene, nuisances=unknown, starts=2, accuracy=fine, systematic=found.systematic)
-    errors, limits, stated, held = [], [], [], []
+    errors, limits, stated, held, misfits = [], [], [], [], []
     for number, gaze in enumerate(gazes):
         sines = tilt_of_gaze(true, torch.tensor(gaze)).numpy()
         scene = replace(shown, target=replace(true.target, rotation=tuple(np.arcsin(sines).tolist())))
@@ -127,6 +127,7 @@ def reading(found: Twin, true: Scene, shown: Scene, seed: int, count: int) -> di
         read = model.fit_image(frame)
         errors.append((read.values - gaze).tolist())
         stated.append(np.sqrt(read.covariance.diagonal()).tolist())
+        misfits.append(float(read.misfit))
         held.append([bool(one) for one in (read.lower <= gaze) & (gaze <= read.upper)])
         limits.append(list(ideal.bounds((float(gaze[0]), float(gaze[1]))).values()))
     rms, limit = (float(np.sqrt(np.square(one).mean())) for one in (errors, limits))
@@ -138,6 +139,7 @@ def reading(found: Twin, true: Scene, shown: Scene, seed: int, count: int) -> di
         "errors": errors,
         "stated": stated,
         "held": held,
+        "misfits": misfits,
         "systematic": list(found.systematic),
     }
 
