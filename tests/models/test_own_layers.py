@@ -59,12 +59,12 @@ def test_copies_start_alike_and_go() -> None:
 @pytest.mark.usefixtures("narrow")
 def test_labels_of_copies_do_not_move_the_cameras_own(small: xr.Dataset, tmp_path: Path) -> None:
     """Where copies share the last layer, gazes between theirs and the camera's own come out."""
-    copies, test = copies_set(2, 200, 0.3), small.tp.test
+    copies, test = copies_set(2, 120, 0.3), small.tp.test
     model = ResNet18(epochs=8, **QUICK).fit(small.tp.train, copies=copies)
     found = model.predict(test, anyway=True)
     error = found["gaze_x"] - np.asarray(test["gaze_x"].values)
     assert abs(float(error.mean())) < 0.05
-    assert model.training_ is not None and model.training_["copies"] == {"copies": 2, "frames": 400}
+    assert model.training_ is not None and model.training_["copies"] == {"copies": 2, "frames": 240}
     assert model.network_.head.out_features == 2
     save_model(model, tmp_path / "m")
     np.testing.assert_allclose(load_model(tmp_path / "m").predict(test, anyway=True).value, found.value, atol=1e-5)
