@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tapetum.errors import InputError
 from tapetum.experiments import demo
@@ -22,22 +21,12 @@ from tapetum.track import read_tracks
 SECONDS = 2.2
 
 
-def first_of_all(kept: dict[str, object], name: str, usual: Callable[..., object], *given: object) -> object:
-    """What the first call gave."""
-    if name not in kept:
-        kept[name] = usual(*given)
-    return kept[name]
-
-
 def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     # Few gazes in the maps: each is an image in fine sampling. The report's figures with few pixels.
     monkeypatch.setattr(demo, "_MAP", (3, 3))
     for module in (html, demo_report):
         monkeypatch.setattr(module, "figure_png", lambda figure, dpi=160: figure_png(figure, dpi=40))
-    kept: dict[str, object] = {}
-    for name in ("_sign", "_track"):
-        monkeypatch.setattr(demo, name, partial(first_of_all, kept, name, getattr(demo, name)))
     outcome = run_demo(tmp_path / "out", seconds=SECONDS, seed=3, say=said.append)
     page = outcome.report.read_text(encoding="utf-8")
     # Self-contained: nothing is asked of any network.
@@ -58,12 +47,13 @@ def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert (outcome.folder / "gaze-path.png").stat().st_size > 10_000
     assert any("Filming" in line for line in said)
 
-    # A second run takes the finished recording as it is; what the sign rests on and the tracks are not computed twice
-    # for that, and the figures are not drawn twice.
+    # A second run takes the finished recording as it is; what the sign rests on is not computed twice for that, and the
+    # figures are not drawn twice.
     picture = (outcome.folder / "gaze-path.png").read_bytes()
     for module in (html, demo_report):
         monkeypatch.setattr(module, "figure_png", lambda figure, dpi=160: picture)
     monkeypatch.setattr(demo, "save_figure", lambda figure, path: path.write_bytes(picture))
+    monkeypatch.setattr(demo, "sign_dprime", lambda scene, gaze: torch.zeros(len(gaze), dtype=torch.float64))
     video = outcome.folder / "demo.rec" / "probe.mkv"
     before, first = video.stat().st_mtime_ns, outcome.report.stat().st_mtime_ns
     run_demo(tmp_path / "out", seconds=SECONDS, seed=3)

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from tapetum.record import labels
 from tapetum.record.blobs import find_candidates
-from tapetum.record.labels import ALONE, _about, label_recording
+from tapetum.record.labels import ALONE, _about, _look, _sharp, label_recording
 from tapetum.record.patch import add_patch, bell
 from tapetum.record.recording import RecordingWriter, StreamInfo, open_recording
+from tapetum.record.source import Frame
 from tapetum.record.streak import HALF, patch_of, sharpened, unsaturated
 
 
@@ -160,6 +162,19 @@ def test_an_edge_under_the_spot_shows_in_what_neighbours_leave_alike() -> None:
     assert errors[0] < 0.01 and errors[1] > 0.05
     assert shares[1] > 3 * shares[0]
     assert 0.2 < errors[1] / (ALONE * shares[1]) < 4
+
+
+def test_dark_frames_of_a_laser_that_blinks_do_not_count() -> None:
+    wall = gaussian_filter(120 * np.random.default_rng(6).standard_normal((80, 96)), 2.5)
+    stated = []
+    for every in (1, 3):
+        lit = np.arange(72) % every == 0
+        frames = [drawn((0.0, 0.0), (48.2, 40.1), n, 0.0, 150.0 if on else 0.0) + wall for n, on in enumerate(lit)]
+        looks = [_look(Frame(n, n / 60, frame.clip(0, 255).astype(np.uint8))) for n, frame in enumerate(frames)]
+        stated.append(np.median(_sharp(looks, lit)[2][lit], axis=0))
+    # Fewer frames show less of the wall.
+    assert (stated[1] > stated[0]).all()
+    assert (stated[1] < 2 * stated[0]).all()
 
 
 def test_what_stands_about_the_spot_counts_where_it_stands() -> None:

@@ -115,18 +115,30 @@ def _fitted(sights: list[_Sight], chosen: npt.NDArray[np.bool_]) -> tuple[Array,
     patches, saturated = np.stack([one.patch for one in sights]), np.array([one.saturated for one in sights])
     patches = unsaturated(patches, saturated)
     found, unknown = sharpened(patches, at, sigma, saturated), np.full((len(sights), 2), np.nan)
-    alike = np.maximum(median_filter(np.where(found.holds, found.excess, 0.0), 2 * GROUP + 1, mode="nearest"), 0)
+    numbers = np.array([one.number for one in sights])
+    alike = np.sqrt(np.maximum(_among(found.excess, chosen & found.holds, numbers), 0))
     for _ in range(ROUNDS):
-        under, unknown = surroundings(patches, found, chosen, np.array([one.number for one in sights]))
+        under, unknown = surroundings(patches, found, chosen, numbers)
         found = sharpened(patches - under, at, sigma, saturated, found)
     round_one = 1 / np.maximum(snr, 1e-3)
     noise = np.where(found.holds, found.noise, round_one)
     # Means of nine pixels have a third of their noise, where saturation leaves no nine side by side.
     shared = np.where(found.holds & np.isfinite(found.shared), found.shared, noise / 3)
     # Without surroundings nothing is known of what the spot hides.
-    known = np.hypot(UNKNOWN * unknown, LEFT * np.sqrt(alike)[:, None])
+    known = np.hypot(UNKNOWN * unknown, LEFT * alike[:, None])
     common = np.where(np.isfinite(unknown), known, ALONE * shared[:, None])
     return found.places, noise, common
+
+
+def _among(values: Array, usable: npt.NDArray[np.bool_], numbers: npt.NDArray[np.int64]) -> Array:
+    """Return the median [N] of values [N] over the usable frames that are at most `GROUP` before or after each usable
+    one, by their numbers; 0 for the others."""
+    found, of = np.zeros(len(values)), numbers[usable]
+    near = np.abs(of[:, None] - of) <= GROUP
+    # A laser that blinks is dark in most frames, which must not count.
+    if len(of):
+        found[usable] = np.nanmedian(np.where(near, values[usable], np.nan), axis=1)
+    return found
 
 
 def _path(joined: Joined, places: np.ndarray, samples: Samples, times: np.ndarray, rate: float) -> Smoothed:
