@@ -49,6 +49,55 @@ def cleared(patches: np.ndarray) -> tuple[Streaks, np.ndarray]:
     return found, unknown
 
 
+def texture(seed: int, grain: float, deviation: float) -> np.ndarray:
+    """What a wall varies by about a spot, smooth over `grain` px."""
+    noise = np.random.default_rng([seed, 3]).standard_normal((FINE * (4 * HALF + 1),) * 2)
+    smooth = gaussian_filter(noise, grain * FINE)
+    return deviation * smooth / smooth.std()
+
+
+def saturated(patches: np.ndarray) -> np.ndarray:
+    return unsaturated(np.minimum(patches, 255), np.full(len(patches), 255.0))
+
+
+def test_what_a_pixel_pulls_predicts_how_far_a_texture_draws_a_saturated_spot() -> None:
+    y, x = np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1]
+    drawn, predicted = [], []
+    for seed in range(8):
+        wall = texture(seed, 2.0, 8.0)
+        patches, places = filmed(100 + wall, seed, height=320.0)
+        shown = saturated(patches)
+        at = [[(one + 2 * HALF) * FINE for one in (y - py, x - px)] for px, py in places]
+        under = np.stack([map_coordinates(wall, one, order=1) for one in at]).reshape(COUNT, -1)
+        found = fitted(shown)
+        drawn.append((found.places - places).mean(axis=0))
+        pulls = found.pulls(np.isfinite(shown).reshape(COUNT, -1))
+        predicted.append(np.einsum("nkp,np->nk", pulls, under).mean(axis=0))
+    # Of pixels that are not saturated; with all of them a third would be missing.
+    assert np.vdot(drawn, predicted) / np.vdot(predicted, predicted) == pytest.approx(1, abs=0.1)
+    assert np.std(np.subtract(drawn, predicted)) < 0.2 * np.std(drawn)
+
+
+def test_under_a_spot_on_an_even_wall_nothing_is_seen() -> None:
+    patches, _ = filmed(np.full((FINE * (4 * HALF + 1),) * 2, 60.0), 4, height=150.0)
+    under, _ = surroundings(patches, fitted(patches), np.ones(COUNT, bool), np.arange(COUNT))
+    # The spot's own light about it would be twelve digital numbers.
+    assert np.nanmax(np.abs(under - 60)[:, 6:-6, 6:-6]) < 4
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_what_is_unknown_draws_a_streak_most_along_itself(axis: int) -> None:
+    # Its ends alone say where it is.
+    patches, _ = filmed(100 + texture(3, 2.0, 15.0), 3, height=0.0)
+    y, x = np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1]
+    for part in np.linspace(-3, 3, 25):
+        along, across = (x, y) if axis == 0 else (y, x)
+        patches += (HEIGHT / 25 * np.exp(-((along - part) ** 2 + across**2) / (2 * SIGMA**2))).astype(np.float32)
+    _, unknown = surroundings(patches, fitted(patches), np.ones(COUNT, bool), np.arange(COUNT))
+    middle = np.median(unknown, axis=0)
+    assert middle[axis] > 1.5 * middle[1 - axis]
+
+
 @pytest.mark.parametrize("angle", np.radians([0, 30, 45, 75, 90]))
 @pytest.mark.parametrize("offset", [0.7, 2.5])
 def test_an_edge_under_the_spot_hardly_draws_it_aside(angle: float, offset: float) -> None:
@@ -80,10 +129,8 @@ def test_a_fine_texture_under_a_saturated_spot_is_partly_known_and_the_rest_is_s
     """Frames moved onto each other must keep the texture, and pixels that are saturated say nothing of the place."""
     alone, left, stated = [], [], []
     for seed in range(12):
-        rng = np.random.default_rng([seed, 3])
-        grain = gaussian_filter(rng.standard_normal((FINE * (4 * HALF + 1),) * 2), 1.5 * FINE)
-        patches, places = filmed(100 + 15 * grain / grain.std(), seed, height=320.0)
-        patches = unsaturated(np.minimum(patches, 255), np.full(COUNT, 255.0))
+        patches, places = filmed(100 + texture(seed, 1.5, 15.0), seed, height=320.0)
+        patches = saturated(patches)
         found, unknown = cleared(patches)
         alone.append((fitted(patches).places - places).mean(axis=0))
         left.append((found.places - places).mean(axis=0))
