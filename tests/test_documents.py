@@ -51,7 +51,7 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 # What takes minutes, or cameras: it is parsed below, and tested elsewhere.
-LONG = re.compile(r"tapetum (demo|paper|dataset synth|record phones|record camera)")
+LONG = re.compile(r"tapetum (demo|paper|dataset synth|record phones|record camera|track phone\.rec)")
 # What makes a command quicker, its last option counting.
 QUICKER = {
     "simulate": ["--set", "sampling.accuracy=0.02", "--set", "probe.sensor.pixels=[48, 48]"],
