@@ -24,6 +24,8 @@ _SCENES = {
 _ONE_BEAM = {"thin-lens": [], "rotation": ["illumination.second_beam.ratio=0"]}
 _NAMES = {"thin-lens": "a thin lens", "rotation": "the Rotation set's lens, traced"}
 _SINE = math.sin(math.radians(0.5))
+# Pictures that a camera is planned for.
+_MANY = 10_000
 
 
 def run(effort: Effort) -> list[Row]:
@@ -38,7 +40,7 @@ def _frames(scene: str, effort: Effort, *, noise: bool = False) -> Row:
     """Images of a batch of gazes, the camera held; with `noise` as a sensor takes them, in the CPU's memory."""
     gazes, few = _gazes(effort.of(2048, 8)).cuda(), _gazes(effort.of(32, 2))
     held = tp.load_scene(scene, _SCENES[scene])
-    cameras = {name: tp.Camera(held, _SINE, device=name) for name in ("cuda", "cpu")}
+    cameras = {name: tp.Camera(held, _SINE, pictures=_MANY, device=name) for name in ("cuda", "cpu")}
     sensor, wavelength, dice = held.probe.sensor, held.illumination.wavelength, np.random.default_rng(0)
 
     def taken(name: str, tilts: torch.Tensor) -> None:
@@ -65,7 +67,7 @@ def _frames(scene: str, effort: Effort, *, noise: bool = False) -> Row:
 
 
 def _share_of_ceiling(scene: str, effort: Effort) -> Row:
-    camera = tp.Camera(tp.load_scene(scene, [*_SCENES[scene], *_ONE_BEAM[scene]]), _SINE, device="cuda")
+    camera = tp.Camera(tp.load_scene(scene, [*_SCENES[scene], *_ONE_BEAM[scene]]), _SINE, pictures=_MANY, device="cuda")
     case = f"hot loop of {_NAMES[scene]}, one beam, in operations of the plain matrix transform"
     note = f"{camera.plan.columns} × {camera.plan.rows} samples over the pupil"
     return share_of_ceiling(camera, _gazes(effort.of(2048, 8)).cuda(), effort, case, note)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import time
@@ -28,6 +29,8 @@ _CASES = (
     ("zoom-18-140mm", "50 mm", 5e-2, 3.0),
 )
 
+# Pictures that a camera is planned for where their rate is measured.
+_MANY = 10_000
 # A phone of three cameras, and the sine of the steepest tilt that it is planned for.
 _PHONE, _STEEPEST = "phone-06", 0.12
 # The same of a lens that is held by hand.
@@ -59,7 +62,8 @@ def run(effort: Effort) -> list[Row]:
         tilts = torch.stack([0.6 * sines, 0.8 * sines], -1)
         # A sensor that holds the spot of the steepest tilt, whatever the lens.
         settings = {"accuracy": accuracy, "propagation": "far field", "target.sensor.pixels": [1296, 972]}
-        traced = Camera(with_values(plain, {"target.lens": kind, **settings}), float(sines[-1]), output=output)
+        bench = with_values(plain, {"target.lens": kind, **settings})
+        traced = Camera(bench, float(sines[-1]), output=output, pictures=_MANY)
         same = {"target.lens.focal_length": traced.scene.target.lens.focal_length}
         same["target.lens.aperture_radius"] = traced.scene.target.lens.aperture_radius
         thin = Camera(with_values(plain, {**same, **settings}), float(sines[-1]), output=output)
@@ -84,13 +88,13 @@ def run(effort: Effort) -> list[Row]:
             case = "the same, camera held, in operations of the plain matrix transform from its pupil to the pixels"
             note = "the machine's own rate; the light's way in and off the sensor comes on top"
             rows.append(share_of_ceiling(traced, tilts, effort, case, note))
-    return [*rows, _zoom(effort), _phone(effort), _planning(effort)]
+    return [*rows, _zoom(effort), _phone(effort), _planning(effort, 1), _planning(effort, _MANY)]
 
 
 def _zoom(effort: Effort) -> Row:
     """The Focusing set's longest lens at its nearest focus: far out of focus, through the probe's aperture."""
     changes = {"target.lens.focal_length": "135 mm", "target.object_distance": "3 m", "sampling.accuracy": 0.02}
-    camera = Camera(with_values(tp.load_scene("focusing"), changes), _STEEPEST_HELD)
+    camera = Camera(with_values(tp.load_scene("focusing"), changes), _STEEPEST_HELD, pictures=_MANY)
     count = effort.of(8, 1)
     tilts = 2 * _STEEPEST_HELD * (torch.rand(count, 2, dtype=torch.float64) - 0.5) / math.sqrt(2)
     places = torch.zeros(count, 2, dtype=torch.float64)
@@ -110,7 +114,7 @@ def _phone(effort: Effort) -> Row:
     count = effort.of(8, 2)
     tilts = _STEEPEST * (torch.rand(count, 2, generator=dice, dtype=torch.float64) - 0.5)
     places = 1e-4 * torch.randn(count, 2, generator=dice, dtype=torch.float64)
-    phone = PhoneCamera(scene, _STEEPEST)
+    phone = PhoneCamera(scene, _STEEPEST, pictures=_MANY)
     beam = scene.illumination.second_beam
     assert beam is not None
     settings = {"accuracy": scene.sampling.accuracy, "propagation": "far field", "target.sensor.pixels": [1296, 972]}
@@ -139,7 +143,7 @@ def _phone(effort: Effort) -> Row:
     )
 
 
-def _planning(effort: Effort) -> Row:
+def _planning(effort: Effort, pictures: int) -> Row:
     """Opening and planning the cameras of all phones, as processes that film a set do it, side by side."""
     names = phone_names()[: effort.of(100, 1)]
     cores = os.cpu_count() or 1
@@ -147,11 +151,11 @@ def _planning(effort: Effort) -> Row:
         # Processes that have loaded the package.
         list(pool.map(_loaded, range(cores)))
         start = time.perf_counter()
-        told = list(pool.map(_planned, reversed(names)))
+        told = list(pool.map(_planned, reversed(names), itertools.repeat(pictures)))
         seconds = time.perf_counter() - start
     cameras, work = (sum(one) for one in zip(*told, strict=True))
     return Row(
-        f"planning the {cameras} cameras of {len(names)} phones by {cores} processes",
+        f"planning the {cameras} cameras of {len(names)} phones for {pictures} pictures, by {cores} processes",
         Figure.duration(seconds),
         note=f"{work:.0f} s of processor time; tilts up to {math.degrees(_STEEPEST):.0f}°",
     )
@@ -162,8 +166,8 @@ def _loaded(_: int) -> None:
     time.sleep(1)
 
 
-def _planned(name: str) -> tuple[int, float]:
+def _planned(name: str, pictures: int) -> tuple[int, float]:
     start = time.process_time()
-    phone = PhoneCamera(with_values(tp.load_scene("phones"), {"target.name": name}), _STEEPEST)
+    phone = PhoneCamera(with_values(tp.load_scene("phones"), {"target.name": name}), _STEEPEST, pictures=pictures)
     assert phone.plan is not None
     return len(phone.units), time.process_time() - start

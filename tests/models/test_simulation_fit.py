@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -149,6 +150,8 @@ def test_tells_a_gaze_from_its_opposite(scene: Scene, model: SimulationFit):
 def test_looks_farther_where_no_start_explains_the_image(
     scene: Scene, model: SimulationFit, monkeypatch: pytest.MonkeyPatch
 ):
+    # As fine as banks become.
+    monkeypatch.setattr("tapetum.models.simulation.fit._NODES", 13)
     gaze = np.array([0.21, -0.13])
     frame = filmed(scene, gaze[None], 6)[0]
     one = SimulationFit(scene, nodes=13, starts=1, window=128)
@@ -170,6 +173,18 @@ def test_looks_farther_where_no_start_explains_the_image(
     found = one.fit_image(stray)
     assert found.starts <= 5
     assert found.misfit > 1.3
+
+
+def test_looks_between_the_nodes_where_no_start_explains_the_image(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    gaze = np.array([0.096, 0.207])
+    frame = filmed(scene, gaze[None], 2)[0]
+    monkeypatch.setattr("tapetum.models.simulation.fit._NODES", 3)
+    coarse = SimulationFit(scene, nodes=3, starts=1, window=128)
+    assert coarse.fit_image(frame).misfit > 1.3
+    monkeypatch.setattr("tapetum.models.simulation.fit._NODES", 5)
+    found = coarse.fit_image(frame)
+    assert found.misfit == pytest.approx(1, abs=0.05)
+    np.testing.assert_allclose(found.values, gaze, atol=1e-3)
 
 
 def test_an_image_with_more_than_its_noise_is_refused(scene: Scene, model: SimulationFit):
@@ -328,11 +343,11 @@ def test_an_accuracy_that_is_refused_becomes_coarser(scene: Scene, monkeypatch: 
     tried: list[float | None] = []
 
     class Refusing(Pictures):
-        def __init__(self, scene: Scene, side: int, accuracy: float | None = None) -> None:
+        def __init__(self, scene: Scene, side: int, accuracy: float | None = None, **other: Any) -> None:
             tried.append(accuracy)
             if accuracy is not None and accuracy < 0.008:
                 raise InputError("light does not come back the way it went", where="target")
-            super().__init__(scene, side, accuracy)
+            super().__init__(scene, side, accuracy, **other)
 
     monkeypatch.setattr("tapetum.models.simulation.fit.Pictures", Refusing)
     fit = SimulationFit(scene, accuracy=0.005, nodes=5, window=64)

@@ -71,11 +71,13 @@ def picture(case: Case, pixels: int = 41, rings: float = 6.0) -> Grid:
     return Grid(pixels, pixels, 2 * rings * ring / pixels)
 
 
-def planned(case: Case, output: Grid, accuracy: float = 1e-2, *surfaces: Surface, **other: Any) -> TracedGroup:
-    """What the planner makes of a case."""
+def planned(
+    case: Case, output: Grid, accuracy: float = 1e-2, *surfaces: Surface, pictures: int = 1000, **other: Any
+) -> TracedGroup:
+    """What the planner makes of a case, with as few samples as will do where `pictures` are many."""
     focused, fits = traced(case)
     options = {"wavelength": WAVELENGTH, "probe_focal_length": PROBE_FOCAL, "curvature": case.curvature, **other}
-    return traced_group(focused, fits, surfaces or (MIRROR,), output, accuracy=accuracy, **options)
+    return traced_group(focused, fits, surfaces or (MIRROR,), output, accuracy=accuracy, pictures=pictures, **options)
 
 
 def finer(one: TracedPass, output: Grid, times: float = 2.0, *, window: float = 2.0, **other: Any) -> TracedPass:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -82,12 +82,17 @@ class Returns:
             what = f"the target comes as near as {distance.min():.3g} m, which its lens cannot be simulated at"
             raise InputError(what, where="motion", remedy="walk less far, or reach out less")
         self._round, steepest = _is_round(scene), largest_sine(tilts)
-        # On the CPU, as a GPU would round differently; "dimmed" lets a spot cross the sensor's edge.
-        whole = functools.lru_cache(1)(
-            lambda node: Camera(replace(scene, distance=node), steepest, edge="dimmed", device="cpu")
-        )
-        self._windows, finite, planned = self._widest(whole, steepest)
-        self._node = self._nodes(finite)
+
+        def opened(node: float, pictures: int = 1) -> Camera:
+            # On the CPU, as a GPU would round differently; "dimmed" lets a spot cross the sensor's edge.
+            at = replace(scene, distance=node)
+            return Camera(at, steepest, edge="dimmed", pictures=pictures, device="cpu")
+
+        ends = {float(distance.min()), float(distance.max())}
+        self._node = self._nodes(any(opened(end).finite for end in ends))
+        frames = len(distance) // len(np.unique(self._node))
+        whole = functools.lru_cache(1)(lambda node: opened(node, frames))
+        self._windows, planned = self._widest({end: whole(end) for end in ends}, steepest)
         kept = {node: camera for node, camera in planned.items() if node in self._node}
         self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(
             lambda node, window: (kept.get(node) or whole(node)).on(window)
@@ -106,20 +111,16 @@ class Returns:
         """Return the patch of every beam in a frame, at the scene's power and exposure."""
         return self._batch(frame // _BATCH)[frame % _BATCH]
 
-    def _widest(
-        self, whole: Callable[[float], Camera], steepest: float
-    ) -> tuple[dict[float, Grid], bool, dict[float, Camera]]:
-        """Return the window that holds a beam's RR at every distance, by its share of the light, whether the probe's
-        aperture cuts it at any, and the cameras that were planned for this, by distance."""
-        away, windows, finite = float(self._centres.abs().max()), dict[float, Grid](), False
+    def _widest(self, cameras: dict[float, Camera], steepest: float) -> tuple[dict[float, Grid], dict[float, Camera]]:
+        """Return the window that holds a beam's RR at every distance, by its share of the light, and the cameras that
+        were planned for this, by distance."""
+        away, windows = float(self._centres.abs().max()), dict[float, Grid]()
         planned: dict[float, Camera] = {}
-        for end in {float(self._distance.min()), float(self._distance.max())}:
-            camera = whole(end)
-            finite |= camera.finite
+        for end, camera in cameras.items():
             found, planned[end] = windows_of(camera, steepest, away)
             for share, window in found.items():
                 windows[share] = max(windows.get(share, window), window, key=lambda grid: grid.rows)
-        return windows, finite, planned
+        return windows, planned
 
     def _nodes(self, finite: bool) -> Array:
         """Return the distance at which each frame is simulated, [T] in metres."""

@@ -126,6 +126,9 @@ class Camera:
     like
         A camera of a scene that differs by little and of the same pixels: behind a traced lens pictures are computed
         on its samples, so that a difference of the two is that of the scenes. `steepest` must be its own.
+    pictures
+        How many will be asked for, about. From 300 on, planning a traced lens takes two to five times as long, for
+        pictures that take up to half as long, as accurate as was asked for either way.
     accuracy, dtype, device
         As for `retroreflect`.
 
@@ -147,6 +150,7 @@ class Camera:
         power: torch.Tensor | float | None = None,
         edge: EdgeRule = "exact",
         like: Camera | None = None,
+        pictures: int = 1,
         accuracy: float | None = None,
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "auto",
@@ -155,6 +159,7 @@ class Camera:
         self._edge, self._edge_error = SensorEdge.of(scene.target.sensor), 0.0
         self._masks: list[FaintPass] = []
         self._edge_rule: EdgeRule = edge
+        self._pictures = pictures
         self._dtype, self._device = dtype, pick_device(device)
         self._accuracy = scene.sampling.accuracy if accuracy is None else accuracy
         target = scene.target
@@ -339,7 +344,9 @@ class Camera:
         where: dict[str, Any] = {"dtype": self._dtype, "device": self._device}
 
         def opened(group: Sequence[Surface]) -> TracedGroup:
-            return lens.group(group, self.area.samples, wavelength, self._accuracy, distance, **where)
+            return lens.group(
+                group, self.area.samples, wavelength, self._accuracy, distance, pictures=self._pictures, **where
+            )
 
         if isinstance(planned, TracedGroup) and len(planned.passes) == len(group):
             others = group if self._wider is None else None

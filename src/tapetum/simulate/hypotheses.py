@@ -66,7 +66,7 @@ def sign_dprime(
     rough = Camera(scene, steepest, accuracy=accuracy, edge="dimmed")
     # Room for the second beam's RR beside the first one's.
     output = rough.window(margin=True)
-    camera = Camera(scene, steepest, accuracy=accuracy, output=output, edge="dimmed")
+    camera = Camera(scene, steepest, accuracy=accuracy, output=output, edge="dimmed", pictures=4 * len(sines))
     sensor, wavelength = scene.probe.sensor, scene.illumination.wavelength
     results: list[torch.Tensor] = []
     x, y = output.x(), output.y()

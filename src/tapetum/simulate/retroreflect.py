@@ -82,6 +82,7 @@ def retroreflect(
         largest_sine(tilt),
         object_distance=object_distance,
         focal_length=focal_length,
+        pictures=len(tilt),
         accuracy=accuracy,
         dtype=dtype,
         device=device,

@@ -110,11 +110,13 @@ class TracedSlopes:
         steepest = largest_sine(self._tilts.reshape(-1, 2)) * (1 + _MARGIN)
         if accuracy is None:
             accuracy = scene.sampling.accuracy / 2
-        camera = _Camera(scene, steepest, accuracy=accuracy, dtype=dtype, device=device)
+        given: dict[str, Any] = {"pictures": self._tilts.numel() // 2, "accuracy": accuracy}
+        given |= {"dtype": dtype, "device": device}
+        camera = _Camera(scene, steepest, **given)
         # Only the pixels that hold both beams' RR without the faintest rings.
         seen = _inside(camera.window(), scene)
         if seen is not None:
-            camera = _Camera(scene, steepest, output=seen, accuracy=accuracy, dtype=dtype, device=device)
+            camera = _Camera(scene, steepest, output=seen, **given)
         self._camera = camera
         self._others: dict[str, tuple[_Camera, _Camera]] = {}
         for name in ("object_distance", "focal_length"):

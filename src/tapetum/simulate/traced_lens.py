@@ -124,12 +124,13 @@ class TracedLens:
         accuracy: float,
         distance: float | None,
         *,
+        pictures: int,
         dtype: torch.dtype,
         device: torch.device,
     ) -> TracedGroup:
         """The passes of planes that interfere, over the `distance` through the probe's aperture or to the far field."""
         way = self._way(output, wavelength, distance, dtype, device)
-        return traced_group(*self._at(wavelength), surfaces, output, accuracy=accuracy, **way)
+        return traced_group(*self._at(wavelength), surfaces, output, accuracy=accuracy, pictures=pictures, **way)
 
     def again(
         self,

@@ -73,6 +73,8 @@ _MOST_PUPIL, _MOST_SENSOR = 3072, 4096
 # moved by this fraction of its width and height. Shares of a step's samples that are tried, the fewest first.
 _ALSO_TRIED = ((0.01, 0.02), (0.05, -0.02), (-0.07, 0.1), (-0.2, 0.1), (0.1, 0.4), (0.98, 0.0), (0.3, -0.4))
 _MOVED, _SHARES = (0.3, -0.2), (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+# Pictures from which on the search for fewer samples pays: what it takes is saved by 300 to 1,000 of them.
+_PAYS_FROM = 300
 # Share of the accuracy by which fewer samples may change a picture: tilts that are not tried may change by more.
 _CHANGED = 0.15
 # Share of a step's samples of the sensor that still holds all light, and samples on the way out over those at which
@@ -162,6 +164,7 @@ def traced_group(
     output: Grid,
     *,
     accuracy: float,
+    pictures: int,
     **way: Unpack[Way],
 ) -> TracedGroup:
     """Plan the passes of planes that interfere.
@@ -176,6 +179,8 @@ def traced_group(
         Pixels of the probe's sensor.
     accuracy
         Wanted largest error of the irradiance, in fractions of the peak.
+    pictures
+        How many will be asked for, about: where they are many, planning seeks as few samples as will do.
     **way
         The light's, see `Way`.
 
@@ -189,7 +194,7 @@ def traced_group(
     seen = _irradiance if len(surfaces) == 1 else _amplitude
 
     def made(wanted: float) -> TracedGroup:
-        found = [_planned(scene, surface, wanted, seen) for surface in surfaces]
+        found = [_planned(scene, surface, wanted, seen, pictures) for surface in surfaces]
         passes, plans = [one for one, _ in found], [plan for _, plan in found]
         worst = max(plans, key=lambda plan: plan.expected_error)
         if len(passes) > 1:
@@ -276,13 +281,16 @@ def _amplitude(one: TracedPass, tilts: torch.Tensor, centres: torch.Tensor | Non
     return one.field(tilts, centres)
 
 
-def _planned(scene: TracedScene, surface: Surface, accuracy: float, seen: _Seen) -> tuple[TracedPass, TracedPlan]:
+def _planned(
+    scene: TracedScene, surface: Surface, accuracy: float, seen: _Seen, pictures: int
+) -> tuple[TracedPass, TracedPlan]:
     scene, surface = in_air(scene, surface)
     light = followed(scene, accuracy)
     wanted = _for_samples(light, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
     found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, wanted, allowed=accuracy, seen=seen)
-    found = _thinned(scene, light, surface, found, tried, max(wanted, found.error), seen)
+    if pictures >= _PAYS_FROM:
+        found = _thinned(scene, light, surface, found, tried, max(wanted, found.error), seen)
     _check_power(found.usual, tried, sum(abs(order.amplitude) for order in surface.orders) ** 2)
     return _on_grids(scene, light, surface, found.usual.grids, trial=False), _stated(light, found, seen=seen)
 

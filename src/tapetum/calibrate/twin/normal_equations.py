@@ -206,7 +206,8 @@ class Normal:
         if self._kept is None or not np.array_equal(self._kept[0], coordinates):
             shown = [self.parameters[n] for n in self._shown]
             scene = placed(self.scene, shown, coordinates[self._shown].tolist())
-            self._kept = coordinates.copy(), Pictures(scene, self.side, self.accuracy, torch.complex128)
+            count = len(self.frames) * (1 + len(self.parameters))
+            self._kept = coordinates.copy(), Pictures(scene, self.side, self.accuracy, torch.complex128, count=count)
         return self._kept[1]
 
     def value(self, name: str, coordinates: Array) -> float | None:

@@ -52,7 +52,7 @@ def placed_in(normal: Normal, coordinates: Array) -> State:
 def shifts(normal: Normal, coordinates: Array, progress: Progress = quiet) -> list[Array]:
     """Return shifts of the gaze [2], the best first, by which the pictures at some coordinates explain the frames."""
     # Single precision serves here, and takes two thirds of the time.
-    pictures = Pictures(normal.pictures(coordinates).scene, normal.side, normal.accuracy)
+    pictures = Pictures(normal.pictures(coordinates).scene, normal.side, normal.accuracy, count=_NODES**2)
     usual = np.array([_usual_shift(normal, pictures, axis) for axis in (0, 1)])
     if _REACH * usual.max() < (_NEAR if pictures.period is None else _NEAR_SITES):
         return [np.zeros(2)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 
 # Nodes along an edge of the bank; fewer where photosites show, whose images take longer to render.
 _NODES, _NODES_SLOW = 25, 9
+# Those of the bank, and some hundred for each crop.
+_PICTURES = 1000
 # Default window: in the bundled scenes, pixels beyond hold 1 % of the information on the gaze.
 _WINDOW = 200
 # Compared photosite periods: those within this difference of log-likelihood, and their largest number.
@@ -145,6 +147,7 @@ class SimulationFit(Estimator):
         self._free = tuple(name for name in (*self.quantities, *self.nuisances) if name not in (*SLOW, *PHASE))
         self._model = CountModel(scene.probe.sensor, unevenness)
         self._pictures: dict[int, tuple[Pictures, Bank]] = {}
+        self._finer_banks: dict[int, Bank] = {}
 
     def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
         """Check that a dataset has the estimated labels, and crops that fit this scene's probe; nothing is learned.
@@ -220,10 +223,14 @@ class SimulationFit(Estimator):
         search = Search(pictures, counts, self._model, self._free, self.offsets)
         electrons = (counts - sensor.offset) / gain_of(sensor)
         _, slope, variance = self._model(np.maximum(electrons, 1.0))
-        poses = bank.match(electrons, slope**2 / variance, _FARTHER * self.starts)
-        if "power" not in self._free:
-            poses = [replace(pose, power=self.scene.illumination.power) for pose in poses]
-        tops = self._climbed(search, poses)
+
+        def poses(bank: Bank) -> list[Pose]:
+            found = bank.match(electrons, slope**2 / variance, _FARTHER * self.starts)
+            if "power" in self._free:
+                return found
+            return [replace(pose, power=self.scene.illumination.power) for pose in found]
+
+        tops = self._climbed(search, poses(bank), lambda: poses(self._finer(len(counts), progress)))
         rivals = [top for top in tops[1:] if not same_top(top, tops[0])]
         periods = self._periods(search, tops[0])
         return result_of(
@@ -290,7 +297,7 @@ class SimulationFit(Estimator):
         accuracy, own = self.accuracy, self.scene.sampling.accuracy
         while True:
             try:
-                pictures = Pictures(self.scene, side, accuracy)
+                pictures = Pictures(self.scene, side, accuracy, count=_PICTURES)
                 nodes = self.nodes or (_NODES if pictures.period is None else _NODES_SLOW)
                 return pictures, Bank(pictures, nodes, progress)
             except InputError:
@@ -298,8 +305,18 @@ class SimulationFit(Estimator):
                     raise
                 accuracy = min(_COARSER * accuracy, own)
 
-    def _climbed(self, search: Search, poses: list[Pose]) -> list[Top]:
-        """Return the maxima near the poses, best first; more than `starts` only while all explain the image badly."""
+    def _finer(self, side: int, progress: Progress) -> Bank:
+        """Return the bank with nodes halfway between, or the usual one where that is fine already; from a cache."""
+        pictures, bank = self._pictures[side]
+        if (nodes := 2 * bank.nodes - 1) > _NODES:
+            return bank
+        if side not in self._finer_banks:
+            self._finer_banks[side] = Bank(pictures, nodes, progress)
+        return self._finer_banks[side]
+
+    def _climbed(self, search: Search, poses: list[Pose], finer: Callable[[], list[Pose]]) -> list[Top]:
+        """Return the maxima near the poses, best first; more than `starts`, and from `finer` ones, only while all
+        explain the image badly."""
         tops = [self._top(search, poses[0])]
         for pose in poses[1 : self.starts]:
             # The opposite of a maximum is nearly one itself, so that one step shows how high it is.
@@ -307,8 +324,15 @@ class SimulationFit(Estimator):
             pose = replace(pose, gaze=_opposite(tops[0])) if mirrored else pose
             tops.append(self._top(search, pose, tops, 1 if mirrored else _FIRST_STEPS))
         best = max(tops, key=lambda top: top.log_likelihood)
-        # The best maximum gives the opposite gaze more precisely than the bank.
-        for pose in [replace(best.pose, gaze=_opposite(best)), *poses[self.starts :]]:
+        begun = {_place(pose) for pose in poses[: self.starts]}
+
+        def farther() -> Iterator[Pose]:
+            # The best maximum gives the opposite gaze more precisely than the bank.
+            yield replace(best.pose, gaze=_opposite(best))
+            others = (pose for pose in finer() if _place(pose) not in begun)
+            yield from itertools.islice(others, (_FARTHER - 1) * self.starts)
+
+        for pose in farther():
             if min(top.misfit for top in tops) <= _LOST:
                 break
             tops.append(self._top(search, pose, tops))
@@ -350,6 +374,12 @@ def _opposite(top: Top) -> tuple[float, float]:
     """Return the gaze opposite to a maximum's, within the bank's field."""
     x, y = np.clip(np.array(top.pose.gaze) + top.slow, -0.48, 0.48)
     return -float(x), -float(y)
+
+
+def _place(pose: Pose) -> tuple[float, float]:
+    """Return a bank's gaze in a form that compares."""
+    x, y = np.round(pose.gaze, 6)
+    return float(x), float(y)
 
 
 def _two(values: Sequence[float], where: str, what: str, remedy: str) -> tuple[float, float]:

@@ -56,7 +56,8 @@ class Pictures:
 
     The scene's own rotation is not used. `accuracy` is in fractions of the peak; None takes the scene's own. `dtype` is
     the type of the fields. `like` are those of a scene that differs by little: a traced lens is then sampled as it was
-    for their scene, so that differences do not show the sampling. Raises as `check_scene` and `simulate.Camera`.
+    for their scene, so that differences do not show the sampling. `count` is how many will be asked for of a focus,
+    about, see `simulate.Camera`. Raises as `check_scene` and `simulate.Camera`.
     """
 
     def __init__(
@@ -66,10 +67,11 @@ class Pictures:
         accuracy: float | None = None,
         dtype: torch.dtype = torch.complex64,
         like: Pictures | None = None,
+        count: int = 1,
     ) -> None:
         check_scene(scene)
         self.scene, self.side, self._accuracy, self._dtype = scene, side, accuracy, dtype
-        self._like = like
+        self._like, self._count = like, count
         self._cameras = lru_cache(_CAMERAS_KEPT)(self._camera)
         light, target, probe = scene.illumination, scene.target, scene.probe
         self.pitch = probe.sensor.pitch
@@ -166,7 +168,7 @@ class Pictures:
         grid = Grid(side, side, self.pitch)
         # These images are small: copying them would cost more time than a GPU gains.
         options: dict[str, Any] = {"accuracy": self._accuracy, "dtype": self._dtype, "device": "cpu"}
-        return scene, Camera(scene, steepest, output=grid, edge="dimmed", like=like, **options)
+        return scene, Camera(scene, steepest, output=grid, edge="dimmed", like=like, pictures=self._count, **options)
 
 
 def period_of(scene: Scene) -> float | None:

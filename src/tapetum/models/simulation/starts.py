@@ -116,6 +116,7 @@ class Bank:
     """Images of one target at `nodes` x `nodes` gazes over its field."""
 
     def __init__(self, pictures: Pictures, nodes: int, progress: Progress = quiet) -> None:
+        self.nodes = nodes
         line = np.linspace(-0.48, 0.48, nodes) if nodes > 1 else np.zeros(1)
         self.gazes = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
         self.spacing = 0.96 / max(1, nodes - 1)
