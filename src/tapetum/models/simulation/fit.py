@@ -38,8 +38,9 @@ _PICTURES = 1000
 _WINDOW = 200
 # Compared photosite periods: those within this difference of log-likelihood, and their largest number.
 _UNLIKELY, _PERIODS_ASKED = 20.0, 9
-# A start is dropped when its log-likelihood lies this far behind after its first steps.
-_HOPELESS, _FIRST_STEPS = 200.0, 4
+# A start is dropped when its log-likelihood lies this far behind after its first steps, and, while nothing explains the
+# image, its misfit is so many times the best one's.
+_HOPELESS, _FIRST_STEPS, _WORSE = 200.0, 4, 2.0
 # Misfit above which the search goes on (a true scene gives 1.00 ± 0.05), by how much starts then increase, and from
 # which on, if nothing better is found, the image does not show the scene.
 _LOST, _FARTHER = 1.3, 4
@@ -341,13 +342,21 @@ class SimulationFit(Estimator):
     def _top(self, search: Search, pose: Pose, others: Sequence[Top] = (), first: int = _FIRST_STEPS) -> Top:
         """Return the maximum near a pose; a search that falls far behind others stops after its `first` steps."""
         phase, pose = search.pictures.period is not None, search.in_phase(pose)
-        if not others:
-            return search.climb(pose, phase=phase)
-        top = search.climb(pose, phase=phase, steps=first)
-        best = max(one.log_likelihood for one in others)
-        if top.settled or top.log_likelihood <= best - _HOPELESS:
+        best = max(others, key=lambda one: one.log_likelihood, default=None)
+        if best is None:
+            top = search.climb(pose, phase=phase)
+        else:
+            top = search.climb(pose, phase=phase, steps=first)
+            near = top.log_likelihood > best.log_likelihood - _HOPELESS
+            near |= best.misfit > _LOST and top.misfit < _WORSE * best.misfit
+            if near and not top.settled:
+                top = search.climb(top.pose, phase=phase, slow=top.slow)
+        if not phase or top.misfit <= _LOST or (best is not None and top.log_likelihood <= best.log_likelihood):
             return top
-        return search.climb(top.pose, phase=phase, slow=top.slow)
+        # While the slow gaze was far off, the phase may have settled at another maximum than it has here.
+        x, y = np.array(top.pose.gaze) + top.slow
+        again = search.climb(search.in_phase(replace(top.pose, gaze=(float(x), float(y)))), phase=True)
+        return max(top, again, key=lambda one: one.log_likelihood)
 
     def _periods(self, search: Search, top: Top) -> list[Top]:
         """Return the best maximum alone, or those of the photosite periods that the slow gaze leaves likely."""
