@@ -68,6 +68,7 @@ def context() -> dict[str, Any]:
     """Return all that the template names."""
     found: dict[str, Any] = {name.replace("-", "_"): _numbers(name) for name in WHOLE}
     found |= {"causes": CAUSES, "adapted": Adapted, "groups": groups, "twins": twins(_numbers("twin")["units"])}
+    found |= {"known_scenes": readings(_numbers("known-scenes")["units"])}
     for name in ("adapt", "adapt-changed", "adapt-lenses", "adapt-rotation"):
         found[name.replace("-", "_")] = _numbers(name)["rows"]
     return found | {"pair": pair, "pairs": percents, "guess": guess, "mean": mean, "recalled": recalled}
@@ -192,8 +193,21 @@ def twins(units: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return told
 
 
+def readings(units: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Gather readings through known scenes: how many, how many of them elsewhere, and errors over the limit."""
+    over = [unit["read_over_limit"] for unit in units]
+    return {
+        "seeds": [unit["seed"] for unit in units],
+        "read": sum(len(unit["errors"]) for unit in units),
+        "elsewhere": sum(map(_elsewhere, units)),
+        "misfit": max(max(unit["misfits"]) for unit in units),
+        "over": over,
+        "over_median": float(np.median(over)),
+    }
+
+
 def _elsewhere(unit: Mapping[str, Any]) -> int:
-    """Return how many readings of a twin are at another maximum than the right one."""
+    """Return how many readings of a unit are at another maximum than the right one."""
     return int((np.abs(unit["errors"]) > ELSEWHERE * np.array(unit["stated"])).any(axis=1).sum())
 
 
