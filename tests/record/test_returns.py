@@ -13,6 +13,7 @@ import torch
 import tapetum as tp
 from tapetum.bench import Scene, with_values
 from tapetum.data.synth import make_plan
+from tapetum.record import returns
 from tapetum.record.patch import Patch, add_patch
 from tapetum.record.returns import returns_of
 from tapetum.simulate import tilt_of_gaze, traced_lens
@@ -102,3 +103,20 @@ def test_all_beams_of_a_traced_lens_share_a_plan() -> None:
     frames, planned = seen("focusing-50mm-3.5m", 0.2)
     assert all(len(frame) == 2 for frame in frames)
     assert planned == 1
+
+
+def test_a_film_is_planned_for_its_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    camera = returns.Camera
+
+    def counted(*given: Any, **options: Any) -> Any:
+        asked.append(options["pictures"])
+        return camera(*given, **options)
+
+    monkeypatch.setattr(returns, "Camera", counted)
+    scene, still = tp.load_scene("hand-held"), np.zeros(12)
+    returns_of(scene, np.zeros((12, 2)), np.zeros((12, 2)), still, still + scene.distance)
+    assert asked[-1] == 12
+    # Some distances each have a camera of their own.
+    returns_of(scene, np.zeros((12, 2)), np.zeros((12, 2)), still, scene.distance + np.repeat([0.0, 0.5, 1.0], 4))
+    assert asked[-1] == 4

@@ -172,6 +172,24 @@ def test_a_scene_is_rendered_with_its_claim() -> None:
     assert float(irradiance[0].max()) > float(irradiance[1].max()) > 0
 
 
+def test_planning_takes_its_time_for_many_gazes_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    sought: list[Any] = []
+
+    def kept(scene: Any, light: Any, surface: Any, found: Any, *others: Any) -> Any:
+        sought.append(found)
+        return found
+
+    monkeypatch.setattr(traced_plan, "_thinned", kept)
+    monkeypatch.setattr(traced_plan, "_PAYS_FROM", 3)
+    lens = {"kind": "prescription", "name": "phone-d"}
+    changes = {"target.lens": lens, "sampling.accuracy": 0.03, "probe.sensor.pixels": [21, 21]}
+    scene = with_values(load_scene("thin-lens"), changes)
+    retroreflect(scene, rotation=[0, 1])
+    assert not sought
+    retroreflect(scene, rotation=[0, 1, 2])
+    assert len(sought) == 1
+
+
 def test_where_finer_samples_are_too_many_the_error_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
     """The paths' error leaves little for sampling, whose finest step is beyond the limits: the best below serves."""
     case, accuracy = Case("phone-a", 5.0), 1e-2
