@@ -201,6 +201,7 @@ def readings(units: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "read": sum(len(unit["errors"]) for unit in units),
         "elsewhere": sum(map(_elsewhere, units)),
         "misfit": max(max(unit["misfits"]) for unit in units),
+        "held": float(np.mean(np.concatenate([unit["held"] for unit in units]))),
         "over": over,
         "over_median": float(np.median(over)),
     }
