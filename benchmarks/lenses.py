@@ -154,8 +154,9 @@ def _planning(effort: Effort, pictures: int) -> Row:
         told = list(pool.map(_planned, reversed(names), itertools.repeat(pictures)))
         seconds = time.perf_counter() - start
     cameras, work = (sum(one) for one in zip(*told, strict=True))
+    asked = "one picture each" if pictures == 1 else f"{pictures} pictures each"
     return Row(
-        f"planning the {cameras} cameras of {len(names)} phones for {pictures} pictures, by {cores} processes",
+        f"planning the {cameras} cameras of {len(names)} phones by {cores} processes, for {asked}",
         Figure.duration(seconds),
         note=f"{work:.0f} s of processor time; tilts up to {math.degrees(_STEEPEST):.0f}°",
     )

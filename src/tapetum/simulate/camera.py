@@ -127,8 +127,8 @@ class Camera:
         A camera of a scene that differs by little and of the same pixels: behind a traced lens pictures are computed
         on its samples, so that a difference of the two is that of the scenes. `steepest` must be its own.
     pictures
-        How many will be asked for, about. From 300 on, planning a traced lens takes two to five times as long, for
-        pictures that take up to half as long, as accurate as was asked for either way.
+        How many will be asked for, about. From 300 on, planning a traced lens takes up to five times as long, for
+        pictures that take down to half as long, as accurate as was asked for either way.
     accuracy, dtype, device
         As for `retroreflect`.
 
