@@ -221,7 +221,7 @@ def test_a_phase_that_settled_wrong_is_sought_again_where_the_search_ended(model
 
 
 @pytest.mark.parametrize(
-    ("best", "first", "ends"), [(1.5, 1.9, 1.0), (1.5, 3.1, 3.1), (1.2, 1.9, 1.9), (20.0, 30.0, 1.0)]
+    ("best", "first", "ends"), [(1.5, 1.9, 1.0), (1.5, 5.9, 1.0), (1.5, 6.1, 6.1), (1.2, 1.9, 1.9), (20.0, 30.0, 30.0)]
 )
 def test_no_start_is_dropped_early_for_little_while_none_explains_the_image(
     model: SimulationFit, best: float, first: float, ends: float

@@ -38,9 +38,9 @@ _PICTURES = 1000
 _WINDOW = 200
 # Compared photosite periods: those within this difference of log-likelihood, and their largest number.
 _UNLIKELY, _PERIODS_ASKED = 20.0, 9
-# A start is dropped when its log-likelihood lies this far behind after its first steps, and, while nothing explains the
-# image, its misfit is so many times the best one's.
-_HOPELESS, _FIRST_STEPS, _WORSE = 200.0, 4, 2.0
+# A start is dropped when its log-likelihood lies this far behind after its first steps; while nothing explains the
+# image, only where its misfit is above this too: the right maximum's may still be less. Strange images leave far more.
+_HOPELESS, _FIRST_STEPS, _STRANGE = 200.0, 4, 6.0
 # Misfit above which the search goes on (a true scene gives 1.00 ± 0.05), by how much starts then increase, and from
 # which on, if nothing better is found, the image does not show the scene.
 _LOST, _FARTHER = 1.3, 4
@@ -348,7 +348,7 @@ class SimulationFit(Estimator):
         else:
             top = search.climb(pose, phase=phase, steps=first)
             near = top.log_likelihood > best.log_likelihood - _HOPELESS
-            near |= best.misfit > _LOST and top.misfit < _WORSE * best.misfit
+            near |= best.misfit > _LOST and top.misfit < _STRANGE
             if near and not top.settled:
                 top = search.climb(top.pose, phase=phase, slow=top.slow)
         if not phase or top.misfit <= _LOST or (best is not None and top.log_likelihood <= best.log_likelihood):
