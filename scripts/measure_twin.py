@@ -65,9 +65,7 @@ def unit(
     kind: str, seed: int, arguments: argparse.Namespace, fitted: Callable[[dict[str, Any]], None]
 ) -> dict[str, Any]:
     """Film, fit and compare one unit; `fitted` gets what the fit tells, before fresh frames are read."""
-    nominal = load_scene(SCENES[kind])
-    true = draw_unit(nominal, None, seed)
-    shown = replace(true, sampling=replace(true.sampling, accuracy=true.sampling.accuracy / FINER[kind]))
+    nominal, true, shown = drawn(kind, seed)
     session = Session(arguments.seconds, arguments.rate, seed, target_rate=arguments.target_rate)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "unit.rec"
@@ -95,10 +93,16 @@ def unit(
     return told | reading(Read.by(found), true, shown, seed, arguments.read)
 
 
+def drawn(kind: str, seed: int) -> tuple[Scene, Scene, Scene]:
+    """The nominal scene, that of a unit, and the unit's at the accuracy at which it is filmed."""
+    nominal = load_scene(SCENES[kind])
+    true = draw_unit(nominal, None, seed)
+    return nominal, true, replace(true, sampling=replace(true.sampling, accuracy=true.sampling.accuracy / FINER[kind]))
+
+
 def known(kind: str, seed: int, count: int) -> dict[str, Any]:
     """Read fresh frames of one unit through the unit's own scene."""
-    true = draw_unit(load_scene(SCENES[kind]), None, seed)
-    shown = replace(true, sampling=replace(true.sampling, accuracy=true.sampling.accuracy / FINER[kind]))
+    _, true, shown = drawn(kind, seed)
     start = time.process_time()
     told = reading(Read(true, true.sampling.accuracy), true, shown, seed, count)
     return {"kind": kind, "seed": seed, "seconds": time.process_time() - start} | told

@@ -30,7 +30,7 @@ from tapetum.simulate.phone import open_camera
 from .draw import KINDS, draw
 from .judge import Effort, TooLargeError, judge, pixel_places
 
-__all__ = ["compared", "summary"]
+__all__ = ["compared", "planned_for_many", "summary"]
 
 # The judge's own change, with twice the points, may be so much of what the engine states, or of how far they differ.
 _OWN = 0.2
@@ -51,6 +51,9 @@ def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
     try:
         scene = scene_from_dict(plain)
         image = retroreflect(scene)
+        traced = plain["target"]["lens"]["kind"] == "prescription"
+        # The samples that serve many pictures count like those of one.
+        many = planned_for_many(scene) if traced else None
     except InputError as error:
         return {**line, "outcome": "refused", "message": str(error), "seconds": time.perf_counter() - started}
     found = image.numpy()[0]
@@ -62,15 +65,13 @@ def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
     claim = claims["expected"] if stated else claims["accuracy"]
     line |= {"way": way, "claims": claims, "engine_seconds": time.perf_counter() - started}
     rows, columns = np.indices(found.shape)
-    many: tuple[np.ndarray, float] | None = None
     places = pixel_places(
         columns.ravel().astype(float), rows.ravel().astype(float), scene.probe.sensor.pixels, scene.probe.sensor.pitch
     )
-    if plain["target"]["lens"]["kind"] == "prescription":
+    if many is not None:
         # Each pixel has rays of its own: a few, the brightest one among them.
         chosen = _few(found)
         places, found = places[chosen], found.ravel()[chosen]
-        many = _planned_for_many(scene)
         many = many[0].ravel()[chosen], many[1]
     # Where next to nothing returns: fractions of what the whole aperture would send into one point.
     lens, light = scene.target.lens, scene.illumination
@@ -106,8 +107,8 @@ def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
         line |= {"outcome": "too large", "message": f"the judge itself changes by {own:.2g} of the peak", "own": own}
         return {**line, "seconds": time.perf_counter() - started}
     if many is not None and (other := _apart(many[0], seen, dark)) / many[1] > error / claim:
-        # The samples that serve many pictures count like those of one.
         (found, claim), error = many, other
+        claims["expected_of_many"] = claim
     return {
         **line,
         "outcome": "agrees" if error <= claim else "differs" if stated else "unclaimed",
@@ -121,7 +122,7 @@ def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _planned_for_many(scene: Scene) -> tuple[np.ndarray, float]:
+def planned_for_many(scene: Scene) -> tuple[np.ndarray, float]:
     """The picture [H, W] of a traced lens that was planned for many, and its claim."""
     sines = torch.sin(torch.tensor([scene.target.rotation], dtype=torch.float64))
     camera = open_camera(scene, largest_sine(sines), pictures=_MANY)

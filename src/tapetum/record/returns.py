@@ -66,6 +66,8 @@ class Returns:
     closely that the phase error at the lens's edge, kr²/2 times the error of 1/d, stays below the scene's accuracy in
     radians; the irradiance, which falls as 1/d², is exact in each frame. Where the return overfills the probe's
     aperture R, the cut depends on the distance too, with r² + 2rR in place of r².
+
+    A traced lens is planned for as many pictures as a distance has frames, see `Camera`.
     """
 
     def __init__(self, scene: Scene, tilts: torch.Tensor, place: Array, roll: Array, distance: Array) -> None:

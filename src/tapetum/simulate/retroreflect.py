@@ -70,7 +70,8 @@ def retroreflect(
     -----
     Paper, equations 1 to 6. Light that fits into the probe's aperture is carried straight to the far field, other light
     over the distance and through the aperture; the metadata say which. Beams, wavelengths, directions of the source and
-    scattered light add as intensity, planes within the coherence length as fields.
+    scattered light add as intensity, planes within the coherence length as fields. Behind a traced lens few gazes are
+    computed on more samples than many, see `Camera`: one gaze's pictures differ by less than the accuracy then.
     """
     scene = as_scene(scene)
     if dtype not in _DTYPES:
@@ -100,7 +101,7 @@ def retroreflect(
 
 
 def plan_scene(scene: Scene, steepest: float, accuracy: float | None = None) -> Plan:
-    """The sampling that `retroreflect` would use for this scene."""
+    """The sampling that `retroreflect` would use for a few gazes of this scene."""
     return open_camera(scene, steepest, accuracy=accuracy).plan
 
 
