@@ -211,9 +211,13 @@ def test_a_phase_that_settled_wrong_is_sought_again_where_the_search_ended(model
     pictures = Pictures(model.scene, 32)
     pictures.period = np.array([1e-3, 1e-3])
     pose = dataclasses.replace(pictures.start(), gaze=(0.1, 0.2))
-    search = Scripted(pictures, 2.9, 1.0)
+    search = Scripted(pictures, 2.9, 1.0, 1.0)
     assert model._top(search, pose).misfit == 1.0  # type: ignore[arg-type]
-    assert search.begun[1] == (pytest.approx((0.11, 0.22)), 25)
+    assert search.begun[1:] == [(pytest.approx((0.11, 0.22)), 25), (pytest.approx((0.12, 0.24)), 25)]
+    # Of a maximum that explains the image well, once at the end.
+    search = Scripted(pictures, 1.02, 1.0, 1.0)
+    one = SimulationFit(model.scene, starts=1)
+    assert one._climbed(search, [pose], list)[0].misfit == 1.0  # type: ignore[arg-type]
     # Worse than before: the first one stays.
     assert model._top(Scripted(pictures, 2.9, 3.0), pose).misfit == 2.9  # type: ignore[arg-type]
     pictures.period = None

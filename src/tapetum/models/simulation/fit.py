@@ -44,6 +44,8 @@ _HOPELESS, _FIRST_STEPS, _STRANGE = 200.0, 4, 6.0
 # Misfit above which the search goes on (a true scene gives 1.00 ± 0.05), by how much starts then increase, and from
 # which on, if nothing better is found, the image does not show the scene.
 _LOST, _FARTHER = 1.3, 4
+# How often the phase is sought again at most, and the rise of the log-likelihood from which on it is once more.
+_AGAIN, _RISEN = 3, 1.0
 # By how much the accuracy is made coarser where it is refused.
 _COARSER = 1.3
 
@@ -337,7 +339,9 @@ class SimulationFit(Estimator):
             if min(top.misfit for top in tops) <= _LOST:
                 break
             tops.append(self._top(search, pose, tops))
-        return sorted(tops, key=lambda top: -top.log_likelihood)
+        first, *others = sorted(tops, key=lambda top: -top.log_likelihood)
+        # A wrong phase may explain the image nearly as well.
+        return [first if search.pictures.period is None else _in_phase_again(search, first), *others]
 
     def _top(self, search: Search, pose: Pose, others: Sequence[Top] = (), first: int = _FIRST_STEPS) -> Top:
         """Return the maximum near a pose; a search that falls far behind others stops after its `first` steps."""
@@ -353,10 +357,7 @@ class SimulationFit(Estimator):
                 top = search.climb(top.pose, phase=phase, slow=top.slow)
         if not phase or top.misfit <= _LOST or (best is not None and top.log_likelihood <= best.log_likelihood):
             return top
-        # While the slow gaze was far off, the phase may have settled at another maximum than it has here.
-        x, y = np.array(top.pose.gaze) + top.slow
-        again = search.climb(search.in_phase(replace(top.pose, gaze=(float(x), float(y)))), phase=True)
-        return max(top, again, key=lambda one: one.log_likelihood)
+        return _in_phase_again(search, top)
 
     def _periods(self, search: Search, top: Top) -> list[Top]:
         """Return the best maximum alone, or those of the photosite periods that the slow gaze leaves likely."""
@@ -383,6 +384,20 @@ def _opposite(top: Top) -> tuple[float, float]:
     """Return the gaze opposite to a maximum's, within the bank's field."""
     x, y = np.clip(np.array(top.pose.gaze) + top.slow, -0.48, 0.48)
     return -float(x), -float(y)
+
+
+def _in_phase_again(search: Search, top: Top) -> Top:
+    """Return the maximum from where a search ended, with the photosites' phase sought again there, while that rises.
+
+    While the slow gaze was far off, the phase may have settled at another maximum than it has here.
+    """
+    for _ in range(_AGAIN):
+        x, y = np.array(top.pose.gaze) + top.slow
+        again = search.climb(search.in_phase(replace(top.pose, gaze=(float(x), float(y)))), phase=True)
+        if again.log_likelihood <= top.log_likelihood + _RISEN:
+            break
+        top = again
+    return top
 
 
 def _place(pose: Pose) -> tuple[float, float]:
