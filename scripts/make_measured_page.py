@@ -200,6 +200,7 @@ def readings(units: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "seeds": [unit["seed"] for unit in units],
         "read": sum(len(unit["errors"]) for unit in units),
         "elsewhere": sum(map(_elsewhere, units)),
+        "farthest": float(np.abs(np.concatenate([unit["errors"] for unit in units])).max()),
         "misfit": max(max(unit["misfits"]) for unit in units),
         "held": float(np.mean(np.concatenate([unit["held"] for unit in units]))),
         "over": over,
