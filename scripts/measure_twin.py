@@ -14,9 +14,9 @@ is in the file, and the same command goes on. Seeds below 100 served development
 With --known no twin is fitted: frames are read through each unit's own scene, which tells the search for the gaze apart
 from errors of the twin.
 
-With --networks FOLDER of thin units also what the bundled network errs on the test part of 130 s of labelled film
-of the unit: adapted to 100 s of that film; adapted to frames of the twin alone, no frame of the unit among them; and
-the latter adapted to 10 s of the film besides. Twins and films are kept in the folder.
+With --networks FOLDER also what the bundled network errs on the test part of 130 s of labelled film of the unit:
+adapted to 100 s of that film; adapted to frames of the twin alone, no frame of the unit among them; and the latter
+adapted to 10 s of the film besides. Twins and films are kept in the folder.
 """
 
 from __future__ import annotations
@@ -52,6 +52,8 @@ from tapetum.record import HandMotion, Session, film, label_recording
 from tapetum.simulate import expose, retroreflect, tilt_of_gaze
 
 SCENES = {"thin": "hand-held", "traced": "rotation"}
+# What `measure_adapt.py` calls films of other copies of these.
+FILMS = {"thin": "another unit", "traced": "another unit of the Rotation camera"}
 # By how much finer than the scene asks its units are filmed. For a thin lens nothing is left out for speed then; of
 # a traced one the engine refuses much finer pictures.
 FINER = {"thin": 50, "traced": 10}
@@ -179,9 +181,9 @@ def twin_of(folder: Path, kind: str, seed: int) -> Path:
     return folder / f"twin-{kind}-{seed}.yaml"
 
 
-def networks(twin: Scene, seed: int, folder: Path) -> dict[str, Any]:
+def networks(kind: str, twin: Scene, seed: int, folder: Path) -> dict[str, Any]:
     """MAE [2] of the bundled network on the unit's test frames, adapted in three ways, and what its intervals hold."""
-    film = filmed(folder, "another unit", seed, FILM_SECONDS)
+    film = filmed(folder, FILMS[kind], seed, FILM_SECONDS)
     shown, base = film.tp.test, bundled(NAME)
     told: dict[str, Any] = {}
 
@@ -195,7 +197,7 @@ def networks(twin: Scene, seed: int, folder: Path) -> dict[str, Any]:
 
     start = time.process_time()
     easier = with_values(twin, {"sampling.accuracy": 0.03})
-    path = folder / f"frames-{seed}-{TWIN_FRAMES}.npz"
+    path = folder / f"frames-{kind}-{seed}-{TWIN_FRAMES}.npz"
     images, gazes = film_copy(easier, 5_000_000 + seed, TWIN_FRAMES, path, Rules(side=base.crop), HandMotion())
     labels = {"gaze_x": gazes[:, 0], "gaze_y": gazes[:, 1]}
     drawn = dataset_from_arrays(images, labels, full_scale=float(2**twin.probe.sensor.bits - 1))
@@ -246,14 +248,14 @@ def main() -> None:
     parser.add_argument("--target-rate", type=float, default=60.0, help="frames a second of the target's camera")
     parser.add_argument("--read", type=int, default=6, help="frames that SimulationFit reads on the twin")
     parser.add_argument("--known", action="store_true", help="fit no twin: read through the units' own scenes")
-    parser.add_argument("--networks", type=Path, metavar="FOLDER", help="adapt networks to thin twins, too")
+    parser.add_argument("--networks", type=Path, metavar="FOLDER", help="adapt networks to the twins, too")
     parser.add_argument("-o", "--out", type=Path, required=True)
     arguments = parser.parse_args()
     keep_big_blocks()
     options = {name: getattr(arguments, name) for name in ("frames", "seconds", "rate", "target_rate", "read")}
     rows = json.loads(arguments.out.read_text("utf-8"))["units"] if arguments.out.exists() else []
-    if arguments.networks is not None and (arguments.kind != "thin" or arguments.known):
-        parser.error("--networks: is for twins of thin units, whose network is bundled")
+    if arguments.networks is not None and arguments.known:
+        parser.error("--networks: adapts to frames of a twin, and --known fits none; leave one of them out")
     if arguments.known and arguments.read < 1:
         parser.error("--read: --known needs frames to read; give 1 or more")
     if arguments.known != all("off" not in row for row in rows) and rows:
@@ -284,9 +286,8 @@ def main() -> None:
             rows[-1] = row
             keep()
         if arguments.networks is not None and "networks" not in row:
-            row["networks"] = networks(
-                load_scene(twin_of(arguments.networks, arguments.kind, seed)), seed, arguments.networks
-            )
+            twin = load_scene(twin_of(arguments.networks, arguments.kind, seed))
+            row["networks"] = networks(arguments.kind, twin, seed, arguments.networks)
             keep()
         if done:
             continue
