@@ -12,7 +12,7 @@ of a micrometre, of the twin as of the camera: their phase is a nuisance then, o
 is in the file, and the same command goes on. Seeds below 100 served development, and 108 and 112; report others.
 
 With --known no twin is fitted: frames are read through each unit's own scene, which tells the search for the gaze apart
-from errors of the twin.
+from errors of the twin; with --accuracy by pictures that become no finer where the search ends.
 
 With --networks FOLDER also what the bundled network errs on the test part of 130 s of labelled film of the unit:
 adapted to 100 s of that film; adapted to frames of the twin alone, no frame of the unit among them; and the latter
@@ -35,7 +35,7 @@ import torch
 
 from measure_adapt import filmed
 from measure_adapt import load as bundled
-from tapetum.bench import PrescriptionLens, Scene, Target, draw_unit, load_scene, scene_yaml, with_values
+from tapetum.bench import Scene, Target, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import Twin, fit_twin
 from tapetum.calibrate.twin.parameters import chosen
 from tapetum.data import dataset_from_arrays
@@ -102,11 +102,11 @@ def drawn(kind: str, seed: int) -> tuple[Scene, Scene, Scene]:
     return nominal, true, replace(true, sampling=replace(true.sampling, accuracy=true.sampling.accuracy / FINER[kind]))
 
 
-def known(kind: str, seed: int, count: int) -> dict[str, Any]:
+def known(kind: str, seed: int, count: int, accuracy: float | None = None) -> dict[str, Any]:
     """Read fresh frames of one unit through the unit's own scene."""
     _, true, shown = drawn(kind, seed)
     start = time.process_time()
-    told = reading(Read(true, true.sampling.accuracy), true, shown, seed, count)
+    told = reading(Read(true, accuracy=accuracy), true, shown, seed, count)
     return {"kind": kind, "seed": seed, "seconds": time.process_time() - start} | told
 
 
@@ -126,18 +126,17 @@ def off(found: Twin, true: Scene, nominal: Scene) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Read:
-    """The scene that frames are read through, its pictures' accuracy, and the error that readings have in common."""
+    """The scene that frames are read through, the error that readings have in common, and the pictures' accuracy."""
 
     scene: Scene
-    accuracy: float | None
     systematic: tuple[float, float] = (0.0, 0.0)
+    accuracy: float | None = None
 
     @classmethod
     def by(cls, found: Twin) -> Read:
         """As `read_by_scene` does."""
-        traced = isinstance(found.scene.target, Target) and isinstance(found.scene.target.lens, PrescriptionLens)
         x, y = found.systematic
-        return cls(found.scene, found.options["accuracy"] if traced else None, (x, y))
+        return cls(found.scene, (x, y))
 
 
 def reading(by: Read, true: Scene, shown: Scene, seed: int, count: int) -> dict[str, Any]:
@@ -248,6 +247,7 @@ def main() -> None:
     parser.add_argument("--target-rate", type=float, default=60.0, help="frames a second of the target's camera")
     parser.add_argument("--read", type=int, default=6, help="frames that SimulationFit reads on the twin")
     parser.add_argument("--known", action="store_true", help="fit no twin: read through the units' own scenes")
+    parser.add_argument("--accuracy", type=float, help="of all pictures, with --known; default: finer where it ends")
     parser.add_argument("--networks", type=Path, metavar="FOLDER", help="adapt networks to the twins, too")
     parser.add_argument("-o", "--out", type=Path, required=True)
     arguments = parser.parse_args()
@@ -256,6 +256,8 @@ def main() -> None:
     rows = json.loads(arguments.out.read_text("utf-8"))["units"] if arguments.out.exists() else []
     if arguments.networks is not None and arguments.known:
         parser.error("--networks: adapts to frames of a twin, and --known fits none; leave one of them out")
+    if arguments.accuracy is not None and not (arguments.known and arguments.accuracy > 0):
+        parser.error(f"--accuracy: is {arguments.accuracy}; give a positive number, together with --known")
     if arguments.known and arguments.read < 1:
         parser.error("--read: --known needs frames to read; give 1 or more")
     if arguments.known != all("off" not in row for row in rows) and rows:
@@ -263,7 +265,7 @@ def main() -> None:
     if arguments.known:
         for seed in arguments.seeds:
             if (arguments.kind, seed) not in [(row["kind"], row["seed"]) for row in rows]:
-                rows.append(known(arguments.kind, seed, arguments.read))
+                rows.append(known(arguments.kind, seed, arguments.read, arguments.accuracy))
                 with atomic_file(arguments.out) as part:
                     part.write_text(json.dumps({"units": rows}, indent=1) + "\n", "utf-8")
                 told = f"read at {rows[-1]['read_over_limit']:.2f} of the limit, misfit {max(rows[-1]['misfits']):.3f}"

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from typing import Any
+import math
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from tapetum.models.simulation.counts import CountModel
 from tapetum.models.simulation.fit import SimulationFit
 from tapetum.models.simulation.noise import Noise
 from tapetum.models.simulation.pictures import Pictures, Pose, period_of
+from tapetum.models.simulation.result import SimulationFitResult
 from tapetum.models.simulation.search import Search, Top
 from tapetum.progress import quiet
 from tapetum.simulate import expose, retroreflect
@@ -217,11 +220,31 @@ def test_a_phase_that_settled_wrong_is_sought_again_where_the_search_ended(model
     # Of a maximum that explains the image well, once at the end.
     search = Scripted(pictures, 1.02, 1.0, 1.0)
     one = SimulationFit(model.scene, starts=1)
-    assert one._climbed(search, [pose], list)[0].misfit == 1.0  # type: ignore[arg-type]
+    assert one._climbed(search, [pose])[0].misfit == 1.0  # type: ignore[arg-type]
     # Worse than before: the first one stays.
     assert model._top(Scripted(pictures, 2.9, 3.0), pose).misfit == 2.9  # type: ignore[arg-type]
     pictures.period = None
     assert model._top(Scripted(pictures, 2.9, 1.0), pose).misfit == 2.9  # type: ignore[arg-type]
+
+
+def test_what_is_estimated_moves_by_whole_periods_for_nothing(scene: Scene):
+    names = ("gaze_x", "gaze_y", "phase_x", "phase_y", "power")
+    information = np.diag([1e4, 1e4, 1e12, 1e12, 1.0])
+    pose, period = Pictures(scene, 32).start(), np.array([1e-3, 2e-3])
+
+    def top(gaze: tuple[float, float], slow: tuple[float, float]) -> Top:
+        return Top(dataclasses.replace(pose, gaze=gaze), np.array(slow), names, information, 0.0, 1.0, True)
+
+    one, other = top((0.1, 0.2), (1e-4, 0.0)), top((0.101 + 2e-6, 0.196), (-4e-4, 5e-4))
+    # The slow gaze is what is estimated where the photosites' place is unknown.
+    unknown = SimulationFit(scene, nuisances=(*NUISANCES, "phase_x", "phase_y"))
+    for model, of in ((unknown, period), (SimulationFit(scene), None)):
+        apart, deviations = model._apart(one, other, of)
+        np.testing.assert_allclose(apart, [5.02e-4, 3.5e-3], rtol=1e-6)
+        np.testing.assert_allclose(deviations, 1e-2)
+    apart, deviations = SimulationFit(scene)._apart(one, other, period)
+    np.testing.assert_allclose(apart, [2e-6, 0.0], atol=1e-12)
+    np.testing.assert_allclose(deviations, 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -237,9 +260,9 @@ def test_no_start_is_dropped_early_for_little_while_none_explains_the_image(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "number"), [(211, 2), (214, 12), (216, 1)])
+@pytest.mark.parametrize(("seed", "number"), [(211, 2), (214, 12), (216, 1), (242, 2), (250, 18)])
 def test_frames_of_a_traced_lens_that_were_read_at_a_wrong_maximum(seed: int, number: int):
-    """Between the nodes, at a wrong phase, and dropped too early."""
+    """Between the nodes, at a wrong phase, dropped too early, believed too soon, and by pictures too coarse."""
     scene = draw_unit(load_scene("rotation"), None, seed)
     gaze = np.random.default_rng([seed, 0xF1]).uniform(-0.35, 0.35, (24, 2))[number]
     tilts = torch.rad2deg(torch.asin(tilt_of_gaze(scene, torch.from_numpy(gaze[None]))))
@@ -247,7 +270,62 @@ def test_frames_of_a_traced_lens_that_were_read_at_a_wrong_maximum(seed: int, nu
     model = SimulationFit(scene, nuisances=(*NUISANCES, "phase_x", "phase_y"))
     found = model.fit_image(frame)
     assert found.misfit < 1.05
-    np.testing.assert_allclose(found.values, gaze, atol=3e-3)
+    np.testing.assert_allclose(found.values, gaze, atol=1e-3)
+
+
+class Erring(Pictures):
+    """Pictures whose error moves the gaze along x, by the more the coarser they are."""
+
+    made: ClassVar[list[float]] = []
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self.made.append(self.error)
+
+    @property
+    def error(self) -> float:
+        return self.scene.sampling.accuracy if self._accuracy is None else self._accuracy
+
+    def render_each(self, poses: Sequence[Pose]) -> np.ndarray:
+        made = super().render_each(poses)
+        aside = [dataclasses.replace(pose, gaze=(pose.gaze[0] + 0.005, pose.gaze[1])) for pose in poses]
+        return made + self.error * (super().render_each(aside) - made)
+
+
+class Refusing(Erring):
+    """The same behind a lens of which no pictures are to be had with an error below a hundredth."""
+
+    def render_each(self, poses: Sequence[Pose]) -> np.ndarray:
+        if self.error < 0.01:
+            raise InputError("light does not come back the way it went")
+        return super().render_each(poses)
+
+
+def test_pictures_become_finer_until_their_error_moves_no_estimate(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    coarse = dataclasses.replace(scene, sampling=dataclasses.replace(scene.sampling, accuracy=0.1))
+    gaze = np.array([0.21, -0.13])
+    frame = filmed(scene, gaze[None], 6)[0]
+
+    def read(pictures: type[Pictures], accuracy: float | None = None) -> tuple[SimulationFitResult, float]:
+        """A reading, and by how many standard deviations it lies aside of that by pictures without error."""
+        monkeypatch.setattr("tapetum.models.simulation.fit.Pictures", pictures)
+        found = SimulationFit(coarse, nodes=5, starts=1, window=64, accuracy=accuracy).fit_image(frame)
+        return found, float(found.values[0] - true.values[0]) / math.sqrt(true.covariance[0, 0])
+
+    monkeypatch.setattr("tapetum.models.simulation.fit.Pictures", Pictures)
+    true = SimulationFit(scene, nodes=5, starts=1, window=64).fit_image(frame)
+    _, aside = read(Erring, 0.1)
+    assert aside < -5
+    Erring.made.clear()
+    found, aside = read(Erring)
+    assert abs(aside) < 0.3
+    assert found.covariance[0, 0] == pytest.approx(true.covariance[0, 0], rel=0.1)
+    # The last ones are there to see that nothing moves any more.
+    assert Erring.made == pytest.approx([0.1, 0.1 / 3, 0.1 / 9, 0.1 / 27, 0.1 / 81])
+    # Where no finer ones are to be had, intervals hold what the last step still moved.
+    found, aside = read(Refusing)
+    assert 0.3 < abs(aside) < 5
+    assert found.covariance[0, 0] > true.covariance[0, 0] * (1 + aside**2)
 
 
 def test_an_image_with_more_than_its_noise_is_refused(scene: Scene, model: SimulationFit):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -20,7 +22,7 @@ from tapetum.models.prediction import Prediction
 from tapetum.models.simulation.counts import CountModel
 from tapetum.models.simulation.images import checked, looked_at
 from tapetum.models.simulation.pictures import Pictures, Pose, check_scene
-from tapetum.models.simulation.result import SimulationFitResult, result_of, same_top
+from tapetum.models.simulation.result import SimulationFitResult, result_of, same_top, values_of
 from tapetum.models.simulation.search import FREE, PHASE, SLOW, Search, Top
 from tapetum.models.simulation.starts import Bank
 from tapetum.progress import Progress, quiet
@@ -41,13 +43,16 @@ _UNLIKELY, _PERIODS_ASKED = 20.0, 9
 # A start is dropped when its log-likelihood lies this far behind after its first steps; while nothing explains the
 # image, only where its misfit is above this too: the right maximum's may still be less. Strange images leave far more.
 _HOPELESS, _FIRST_STEPS, _STRANGE = 200.0, 4, 6.0
-# Misfit above which the search goes on (a true scene gives 1.00 ± 0.05), by how much starts then increase, and from
-# which on, if nothing better is found, the image does not show the scene.
-_LOST, _FARTHER = 1.3, 4
+# Misfit up to which the search may end (a true scene gives 1.00 ± 0.05), by how much starts increase above it, and the
+# misfit above which the image does not show the scene.
+_EXPLAINED, _FARTHER, _LOST = 1.1, 4, 1.3
 # How often the phase is sought again at most, and the rise of the log-likelihood from which on it is once more.
 _AGAIN, _RISEN = 3, 1.0
 # By how much the accuracy is made coarser where it is refused.
 _COARSER = 1.3
+# By how much pictures become finer while their error may still move the maximum, to what accuracy at best, and by how
+# much of its standard deviation an estimate may still move then; above the misfit, not their error is what shows.
+_FINER, _FINEST, _STILL, _ROUGH = 3.0, 1e-3, 0.2, 2.0
 
 
 class SimulationFit(Estimator):
@@ -65,11 +70,13 @@ class SimulationFit(Estimator):
         and `phase_y`, the photosites' position under the spot. A gaze that is not named is a nuisance.
     starts
         Number of starting gazes: the best matches in a coarse bank of images, and the opposite of the best one. Where
-        none explains the image (misfit above 1.3), the search starts again opposite to the best maximum and at the next
+        none explains the image (misfit above 1.1), the search starts again opposite to the best maximum and at the next
         best matches, up to four times as many in all.
     accuracy
-        Of the simulation, in fractions of the peak; the scene's own when None. Where the engine refuses one that is
-        finer than the scene's own, as it may behind a traced lens, the next coarser that it allows.
+        Of the pictures, in fractions of the peak. By default the scene's own for the search; where it ends the pictures
+        become finer, three times each, to 0.001 at best, until what is estimated moves by less than a fifth of its
+        standard deviation. Where the engine refuses an accuracy that is finer than the scene's own, as it may behind a
+        traced lens, the next coarser that it allows.
     window
         Edge in pixels of the central square that is fitted.
     unevenness
@@ -151,6 +158,7 @@ class SimulationFit(Estimator):
         self._model = CountModel(scene.probe.sensor, unevenness)
         self._pictures: dict[int, tuple[Pictures, Bank]] = {}
         self._finer_banks: dict[int, Bank] = {}
+        self._finer_pictures: dict[tuple[int, int], Pictures | None] = {}
 
     def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
         """Check that a dataset has the estimated labels, and crops that fit this scene's probe; nothing is learned.
@@ -233,12 +241,19 @@ class SimulationFit(Estimator):
                 return found
             return [replace(pose, power=self.scene.illumination.power) for pose in found]
 
-        tops = self._climbed(search, poses(bank), lambda: poses(self._finer(len(counts), progress)))
+        usual = poses(bank)
+        tops = self._climbed(search, usual)
+        starts, (fine, found, moved) = len(tops), self._refined(search, tops)
+        if found[0].misfit > _EXPLAINED:
+            tops = self._farther(search, tops, usual, poses(self._finer(len(counts), progress)))
+            starts, (fine, found, moved) = len(tops), self._refined(search, tops)
+        search, tops = fine, found
         rivals = [top for top in tops[1:] if not same_top(top, tops[0])]
         periods = self._periods(search, tops[0])
-        return result_of(
-            self.quantities, periods, rivals, len(tops), middle, dict(zip(SLOW, self.systematic, strict=True))
-        )
+        systematic = dict(zip(self.quantities, moved.tolist(), strict=True))
+        for name, own in zip(SLOW, self.systematic, strict=True):
+            systematic[name] = math.hypot(own, systematic.get(name, 0.0))
+        return result_of(self.quantities, periods, rivals, starts, middle, systematic)
 
     def bounds(self, gaze: tuple[float, float]) -> dict[str, float]:
         """Return the Cramér-Rao bound on each parameter's standard deviation, for one crop.
@@ -317,31 +332,94 @@ class SimulationFit(Estimator):
             self._finer_banks[side] = Bank(pictures, nodes, progress)
         return self._finer_banks[side]
 
-    def _climbed(self, search: Search, poses: list[Pose], finer: Callable[[], list[Pose]]) -> list[Top]:
-        """Return the maxima near the poses, best first; more than `starts`, and from `finer` ones, only while all
-        explain the image badly."""
+    def _climbed(self, search: Search, poses: list[Pose]) -> list[Top]:
+        """Return the maxima near the first `starts` poses, best first."""
         tops = [self._top(search, poses[0])]
         for pose in poses[1 : self.starts]:
             # The opposite of a maximum is nearly one itself, so that one step shows how high it is.
             mirrored = tops[0].misfit <= _LOST and np.allclose(np.add(pose.gaze, poses[0].gaze), 0.0)
             pose = replace(pose, gaze=_opposite(tops[0])) if mirrored else pose
             tops.append(self._top(search, pose, tops, 1 if mirrored else _FIRST_STEPS))
-        best = max(tops, key=lambda top: top.log_likelihood)
-        begun = {_place(pose) for pose in poses[: self.starts]}
+        return _best_first(search, tops)
 
-        def farther() -> Iterator[Pose]:
-            # The best maximum gives the opposite gaze more precisely than the bank.
-            yield replace(best.pose, gaze=_opposite(best))
-            others = (pose for pose in finer() if _place(pose) not in begun)
-            yield from itertools.islice(others, (_FARTHER - 1) * self.starts)
+    def _farther(self, search: Search, tops: list[Top], begun: list[Pose], poses: list[Pose]) -> list[Top]:
+        """Return the maxima, best first, with those near further poses until one explains the image.
 
-        for pose in farther():
-            if min(top.misfit for top in tops) <= _LOST:
+        The first pose is opposite to the best maximum, which is more precise than those of a bank; of the others the
+        ones that were `begun` from are left out.
+        """
+        known = {_place(pose) for pose in begun[: self.starts]}
+        others = (pose for pose in poses if _place(pose) not in known)
+        opposite = replace(tops[0].pose, gaze=_opposite(tops[0]))
+        found = list(tops)
+        for pose in itertools.chain([opposite], itertools.islice(others, (_FARTHER - 1) * self.starts)):
+            found.append(self._top(search, pose, found))
+            if found[-1].misfit <= _EXPLAINED:
                 break
-            tops.append(self._top(search, pose, tops))
-        first, *others = sorted(tops, key=lambda top: -top.log_likelihood)
-        # A wrong phase may explain the image nearly as well.
-        return [first if search.pictures.period is None else _in_phase_again(search, first), *others]
+        return _best_first(search, found)
+
+    def _refined(self, search: Search, tops: list[Top]) -> tuple[Search, list[Top], Array]:
+        """Return the search with pictures so fine that the maximum stays, and the maxima by them, best first; and how
+        far what is estimated [P] still moved where no finer ones are to be had.
+
+        Bright images tell far smaller differences than the scene's accuracy.
+        """
+        moved, likely = np.zeros(len(self.quantities)), [n == 0 or top.misfit <= _LOST for n, top in enumerate(tops)]
+        still, others = ([top for top, own in zip(tops, likely, strict=True) if own is kept] for kept in (True, False))
+        if self.accuracy is not None or still[0].misfit > _ROUGH:
+            return search, tops, moved
+        for step in itertools.count(1):
+            finer = self._pictures_finer(search.pictures.side, step)
+            if finer is None:
+                break
+            search = Search(finer, search.counts, self._model, self._free, self.offsets)
+            before = still[0]
+            climbed = [search.climb(top.pose, phase=PHASE[0] in top.names, slow=top.slow) for top in still]
+            found, *less = sorted(climbed, key=lambda top: -top.log_likelihood)
+            still = [found, *(top for top in less if top.log_likelihood > found.log_likelihood - _HOPELESS)]
+            others += less[len(still) - 1 :]
+            moved, deviations = self._apart(before, found, search.pictures.period)
+            if (moved <= _STILL * deviations).all():
+                moved = np.zeros(len(self.quantities))
+                break
+        return search, [*still, *others], moved
+
+    def _apart(self, one: Top, other: Top, period: Array | None) -> tuple[Array, Array]:
+        """Return how far what is estimated [P] lies apart at two maxima, and its standard deviations at the second.
+
+        Where the photosites' period is determined afterwards, the gaze is as precise as their phase.
+        """
+        names, tops = list(self.quantities), [one, other]
+        fast = None if set(PHASE) <= set(self.nuisances) else period
+        if fast is not None:
+            tops = [replace(top, slow=np.zeros(2)) for top in tops]
+        before, after = (values_of(top, self.quantities, np.zeros(2)) for top in tops)
+        apart = np.abs(after - before)
+        for n, name in enumerate(SLOW):
+            if fast is not None and name in names:
+                at = names.index(name)
+                apart[at] = abs(math.remainder(apart[at], float(fast[n])))
+                names[at] = PHASE[n]
+        deviations = np.sqrt(np.maximum(other.covariance.diagonal(), 0.0))
+        return apart, deviations[[other.names.index(name) for name in names]]
+
+    def _pictures_finer(self, side: int, step: int) -> Pictures | None:
+        """Return pictures so many steps finer than the scene's accuracy, from a cache; None where there are none.
+
+        Behind a traced lens the last ones are as fine as the engine allows.
+        """
+        key = side, step
+        if key not in self._finer_pictures:
+            coarser = self.scene.sampling.accuracy / _FINER ** (step - 1)
+            accuracy, found = coarser / _FINER, None
+            while found is None and _FINEST <= accuracy < coarser / _COARSER:
+                made = Pictures(self.scene, side, accuracy, count=_PICTURES)
+                with contextlib.suppress(InputError):
+                    made.render_each([made.start()])
+                    found = made
+                accuracy *= _COARSER
+            self._finer_pictures[key] = found
+        return self._finer_pictures[key]
 
     def _top(self, search: Search, pose: Pose, others: Sequence[Top] = (), first: int = _FIRST_STEPS) -> Top:
         """Return the maximum near a pose; a search that falls far behind others stops after its `first` steps."""
@@ -384,6 +462,13 @@ def _opposite(top: Top) -> tuple[float, float]:
     """Return the gaze opposite to a maximum's, within the bank's field."""
     x, y = np.clip(np.array(top.pose.gaze) + top.slow, -0.48, 0.48)
     return -float(x), -float(y)
+
+
+def _best_first(search: Search, tops: list[Top]) -> list[Top]:
+    """Return maxima by likelihood, the best one with the photosites' phase sought again."""
+    first, *others = sorted(tops, key=lambda top: -top.log_likelihood)
+    # A wrong phase may explain the image nearly as well.
+    return [first if search.pictures.period is None else _in_phase_again(search, first), *others]
 
 
 def _in_phase_again(search: Search, top: Top) -> Top:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tapetum.bench import PrescriptionLens, Target, load_scene
+from tapetum.bench import load_scene
 from tapetum.checked import read_json
 from tapetum.errors import InputError
 from tapetum.models.simulation.fit import SimulationFit
@@ -27,8 +27,8 @@ def read_by_scene(path: str | Path) -> SimulationFit:
     """Return an estimator of the gaze that reads frames by simulating the scene in a YAML file.
 
     The numbers of a twin, NAME.json beside NAME.yaml, are used where they are there. The gaze's systematic deviations
-    widen the intervals; the sensor's fixed pattern, and whether the target rolls, are as they were in the fit, and
-    pictures behind a traced lens are as fine. Where photosites show, their place under the spot counts as unknown.
+    widen the intervals; the sensor's fixed pattern, and whether the target rolls, are as they were in the fit. Where
+    photosites show, their place under the spot counts as unknown.
 
     Raises
     ------
@@ -43,15 +43,12 @@ def read_by_scene(path: str | Path) -> SimulationFit:
         remedy = "fit the twin again, or move this file away: intervals then hold the noise alone"
         raise InputError(what, where=path.with_suffix(".json"), remedy=remedy)
     options = numbers.get("options", {})
-    # A thin lens's gaze does not need the fineness of its other parameters, which takes four times as long.
-    traced = isinstance(scene.target, Target) and isinstance(scene.target.lens, PrescriptionLens)
     unknown = ["power", "place_x", "place_y", *(PHASE if period_of(scene) is not None else ())]
     try:
         return SimulationFit(
             scene,
             nuisances=(*unknown, *(("roll",) if options.get("roll") else ())),
             starts=_STARTS,
-            accuracy=options.get("accuracy") if traced else None,
             unevenness=float(options.get("unevenness", 0.0)),
             offsets=options.get("offsets", (0.0, 0.0)),
             systematic=numbers.get("systematic", (0.0, 0.0)),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tapetum.errors import InputError
 from tapetum.models.simulation.search import Top
 
-__all__ = ["Mode", "SimulationFitResult", "result_of", "same_top"]
+__all__ = ["Mode", "SimulationFitResult", "result_of", "same_top", "values_of"]
 
 Array = NDArray[np.float64]
 # Half-width of a normal distribution's central 90 % in standard deviations, and the share itself.
@@ -87,7 +87,7 @@ def result_of(
     chosen = [best.names.index(name) for name in names]
     covariance = best.covariance[np.ix_(chosen, chosen)] * misfit
     covariance = covariance + np.diag([systematic.get(name, 0.0) ** 2 for name in names])
-    modes = [Mode(_values(one, names, middle), one.log_likelihood) for one in (*periods, *rivals)]
+    modes = [Mode(values_of(one, names, middle), one.log_likelihood) for one in (*periods, *rivals)]
     # The interval covers the most likely modes up to 90 % of the total likelihood.
     share = np.exp(np.minimum([(one.log_likelihood - best.log_likelihood) / misfit for one in modes], 0.0))
     order = np.argsort(-share)
@@ -114,7 +114,8 @@ def same_top(one: Top, other: Top) -> bool:
     return bool((np.abs(apart) < 5 * np.sqrt(np.maximum(other.covariance.diagonal()[:2], 0.0))).all())
 
 
-def _values(top: Top, names: tuple[str, ...], middle: Array) -> Array:
+def values_of(top: Top, names: tuple[str, ...], middle: Array) -> Array:
+    """Return the values [P] of parameters at a maximum; `middle` [2] is added to places, in metres."""
     pose = top.pose
     gaze, place = np.array(pose.gaze) + top.slow, np.array(pose.place) + middle
     found = {"gaze_x": gaze[0], "gaze_y": gaze[1], "place_x": place[0], "place_y": place[1]}
