@@ -38,7 +38,7 @@ def test_a_twins_numbers_are_used(twin: Path) -> None:
     assert (alone.systematic, alone.accuracy, alone.unevenness) == ((0.0, 0.0), None, 0.0)
     numbers(twin)
     model = read_by_scene(twin)
-    # A thin lens needs no finer pictures to read a gaze.
+    # Where a search ends, pictures become as fine as each frame asks, however fine they were in the fit.
     assert (model.systematic, model.accuracy) == ((3e-4, 4e-4), None)
     assert (model.unevenness, model.offsets) == (0.02, (0.5, 0.25))
     assert model.nuisances == ("power", "place_x", "place_y")
@@ -46,12 +46,12 @@ def test_a_twins_numbers_are_used(twin: Path) -> None:
     assert read_by_scene(twin).nuisances[-1] == "roll"
 
 
-def test_the_place_of_photosites_that_show_is_unknown_and_pictures_are_as_fine_as_in_the_fit(tmp_path: Path) -> None:
+def test_the_place_of_photosites_that_show_is_unknown(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text(scene_yaml(load_scene("rotation")), encoding="utf-8")
     numbers(path)
     model = read_by_scene(path)
-    assert (model.nuisances[-2:], model.accuracy) == (("phase_x", "phase_y"), 0.04)
+    assert (model.nuisances[-2:], model.accuracy) == (("phase_x", "phase_y"), None)
 
 
 def test_systematic_deviations_widen_the_intervals(twin: Path) -> None:
