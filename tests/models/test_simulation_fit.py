@@ -301,6 +301,27 @@ class Refusing(Erring):
         return super().render_each(poses)
 
 
+class Telling(Erring):
+    """Pictures whose error shows the gaze, by the more the coarser they are."""
+
+    def render_each(self, poses: Sequence[Pose]) -> np.ndarray:
+        made = Pictures.render_each(self, poses)
+        gazes = np.array([pose.gaze[0] for pose in poses])[:, None, None]
+        return made + 300 * self.error * gazes * made[:, :, ::-1]
+
+
+def test_an_error_that_shows_the_gaze_does_not_count_in_bounds(scene: Scene, monkeypatch: pytest.MonkeyPatch):
+    coarse = dataclasses.replace(scene, sampling=dataclasses.replace(scene.sampling, accuracy=0.1))
+
+    def bound(accuracy: float | None = None) -> float:
+        return SimulationFit(coarse, nodes=2, window=64, accuracy=accuracy).bounds((0.05, 0.1))["gaze_x"]
+
+    true = bound()
+    monkeypatch.setattr("tapetum.models.simulation.fit.Pictures", Telling)
+    assert bound(0.1) < 0.7 * true
+    assert bound() == pytest.approx(true, rel=0.06)
+
+
 def test_pictures_become_finer_until_their_error_moves_no_estimate(scene: Scene, monkeypatch: pytest.MonkeyPatch):
     coarse = dataclasses.replace(scene, sampling=dataclasses.replace(scene.sampling, accuracy=0.1))
     gaze = np.array([0.21, -0.13])

@@ -46,6 +46,8 @@ _HOPELESS, _FIRST_STEPS, _STRANGE = 200.0, 4, 6.0
 # Misfit up to which the search may end (a true scene gives 1.00 ± 0.05), by how much starts increase above it, and the
 # misfit above which the image does not show the scene.
 _EXPLAINED, _FARTHER, _LOST = 1.1, 4, 1.3
+# Share by which a bound may still change with finer pictures.
+_SAME_BOUND = 0.05
 # How often the phase is sought again at most, and the rise of the log-likelihood from which on it is once more.
 _AGAIN, _RISEN = 3, 1.0
 # By how much the accuracy is made coarser where it is refused.
@@ -268,12 +270,25 @@ class SimulationFit(Estimator):
             Fractions of the field.
         """
         pictures, _ = self._prepared(min(self.window, *self.scene.probe.sensor.pixels), quiet)
+        found = self._deviations(pictures, gaze)
+        for step in itertools.count(1):
+            # Near the middle of the field, where a picture changes least, their error would pass for information.
+            finer = None if self.accuracy is not None else self._pictures_finer(pictures.side, step)
+            if finer is None:
+                break
+            before, found = found, self._deviations(finer, gaze)
+            if (np.abs(found / before - 1) <= _SAME_BOUND).all():
+                break
+        return dict(zip(self.quantities, found.tolist(), strict=True))
+
+    def _deviations(self, pictures: Pictures, gaze: tuple[float, float]) -> Array:
+        """Return the bounds [P] at a gaze, by these pictures."""
         blank = np.zeros((pictures.side, pictures.side))
         search = Search(pictures, blank, self._model, self._free, self.offsets)
         phase = set(PHASE) <= set(self.nuisances)
         top = search.climb(replace(pictures.start(), gaze=gaze), phase=phase, steps=0)
         deviations = np.sqrt(np.maximum(top.covariance.diagonal(), 0.0))
-        return {name: float(deviations[top.names.index(name)]) for name in self.quantities}
+        return deviations[[top.names.index(name) for name in self.quantities]]
 
     def parameters(self) -> dict[str, Any]:
         names = ("starts", "accuracy", "window", "unevenness", "nodes", "seed")
