@@ -68,7 +68,8 @@ def context() -> dict[str, Any]:
     """Return all that the template names."""
     found: dict[str, Any] = {name.replace("-", "_"): _numbers(name) for name in WHOLE}
     found |= {"causes": CAUSES, "adapted": Adapted, "groups": groups, "twins": twins(_numbers("twin")["units"])}
-    found |= {"known_scenes": readings(_numbers("known-scenes")["units"])}
+    for name in ("known", "coarse"):
+        found[f"{name}_scenes"] = readings(_numbers(f"{name}-scenes")["units"])
     for name in ("adapt", "adapt-changed", "adapt-lenses", "adapt-rotation"):
         found[name.replace("-", "_")] = _numbers(name)["rows"]
     return found | {"pair": pair, "pairs": percents, "guess": guess, "mean": mean, "recalled": recalled}
