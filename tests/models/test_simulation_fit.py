@@ -349,7 +349,11 @@ def test_pictures_become_finer_until_their_error_moves_no_estimate(scene: Scene,
     assert found.covariance[0, 0] > true.covariance[0, 0] * (1 + aside**2)
 
 
-def test_an_image_with_more_than_its_noise_is_refused(scene: Scene, model: SimulationFit):
+def test_an_image_with_more_than_its_noise_is_searched_farther_or_refused(
+    scene: Scene, model: SimulationFit, monkeypatch: pytest.MonkeyPatch
+):
+    # As fine as banks become.
+    monkeypatch.setattr("tapetum.models.simulation.fit._NODES", 13)
     gaze, rng = np.array([[0.21, -0.13]]), np.random.default_rng(2)
     frame = filmed(scene, gaze, 6)[0].astype(np.float64)
     one = SimulationFit(scene, nodes=13, starts=1, window=128)
@@ -357,11 +361,15 @@ def test_an_image_with_more_than_its_noise_is_refused(scene: Scene, model: Simul
     pictures = Pictures(scene, 150)
     light = pictures.render(pictures.start(), gaze)[0] + dark_electrons(scene.probe.sensor)
     deviation = np.sqrt(CountModel(scene.probe.sensor)(light)[2])
-    for more, applies in ((0.1, True), (0.6, False)):
+    seen: list[SimulationFitResult] = []
+    read = one.fit_image
+    monkeypatch.setattr(one, "fit_image", lambda *given, **named: seen.append(read(*given, **named)) or seen[-1])
+    for more, applies, starts in ((0.05, True, 1), (0.18, True, 5), (0.6, False, 5)):
         noisy = np.clip(np.rint(frame + np.sqrt(more) * deviation * rng.standard_normal(frame.shape)), 0, 255)
         found = one.predict(noisy.astype(np.uint8))
         assert bool(np.isfinite(found.value).all()) == applies, more
         assert ("does not explain" in found.reason[0]) != applies
+        assert seen[-1].starts == starts
 
 
 def test_whole_frames_and_power(scene: Scene, model: SimulationFit):
