@@ -170,7 +170,7 @@ def test_a_correction_knows_its_paths_at_tilts_between_its_nodes(
     # Most of them steep, where few rays return.
     sines = steepest * torch.cat([torch.linspace(0.02, 0.7, 7), torch.linspace(0.75, 0.98, 24)]).to(torch.float64)
     error = float(check_return(far_out, found, sines, curvature=1 / 5.5).opd.max())
-    what = f"path of the return, 135 mm at 3 m seen from 5.5 m, up to {math.degrees(math.asin(steepest)):.2g}°"
+    what = f"path of the return, 135 mm at 3 m seen from 5.5 m, up to {math.degrees(math.asin(steepest)):.3g}°"
     validated(SECTION, what, error / found.misfit, 1.0, "rays at other tilts", "of the stated misfit")
 
 
