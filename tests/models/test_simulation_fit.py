@@ -16,7 +16,9 @@ from tapetum.bench import Scene, draw_unit, load_scene, with_values
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models.simulation.counts import CountModel
+from tapetum.models.simulation.finer import apart
 from tapetum.models.simulation.fit import SimulationFit
+from tapetum.models.simulation.maxima import climbed, top_near
 from tapetum.models.simulation.noise import Noise
 from tapetum.models.simulation.pictures import Pictures, Pose, period_of
 from tapetum.models.simulation.result import SimulationFitResult
@@ -215,16 +217,15 @@ def test_a_phase_that_settled_wrong_is_sought_again_where_the_search_ended(model
     pictures.period = np.array([1e-3, 1e-3])
     pose = dataclasses.replace(pictures.start(), gaze=(0.1, 0.2))
     search = Scripted(pictures, 2.9, 1.0, 1.0)
-    assert model._top(search, pose).misfit == 1.0  # type: ignore[arg-type]
+    assert top_near(search, pose).misfit == 1.0  # type: ignore[arg-type]
     assert search.begun[1:] == [(pytest.approx((0.11, 0.22)), 25), (pytest.approx((0.12, 0.24)), 25)]
     # Of a maximum that explains the image well, once at the end.
     search = Scripted(pictures, 1.02, 1.0, 1.0)
-    one = SimulationFit(model.scene, starts=1)
-    assert one._climbed(search, [pose])[0].misfit == 1.0  # type: ignore[arg-type]
+    assert climbed(search, [pose])[0].misfit == 1.0  # type: ignore[arg-type]
     # Worse than before: the first one stays.
-    assert model._top(Scripted(pictures, 2.9, 3.0), pose).misfit == 2.9  # type: ignore[arg-type]
+    assert top_near(Scripted(pictures, 2.9, 3.0), pose).misfit == 2.9  # type: ignore[arg-type]
     pictures.period = None
-    assert model._top(Scripted(pictures, 2.9, 1.0), pose).misfit == 2.9  # type: ignore[arg-type]
+    assert top_near(Scripted(pictures, 2.9, 1.0), pose).misfit == 2.9  # type: ignore[arg-type]
 
 
 def test_what_is_estimated_moves_by_whole_periods_for_nothing(scene: Scene):
@@ -237,13 +238,11 @@ def test_what_is_estimated_moves_by_whole_periods_for_nothing(scene: Scene):
 
     one, other = top((0.1, 0.2), (1e-4, 0.0)), top((0.101 + 2e-6, 0.196), (-4e-4, 5e-4))
     # The slow gaze is what is estimated where the photosites' place is unknown.
-    unknown = SimulationFit(scene, nuisances=(*NUISANCES, "phase_x", "phase_y"))
-    for model, of in ((unknown, period), (SimulationFit(scene), None)):
-        apart, deviations = model._apart(one, other, of)
-        np.testing.assert_allclose(apart, [5.02e-4, 3.5e-3], rtol=1e-6)
-        np.testing.assert_allclose(deviations, 1e-2)
-    apart, deviations = SimulationFit(scene)._apart(one, other, period)
-    np.testing.assert_allclose(apart, [2e-6, 0.0], atol=1e-12)
+    moved, deviations = apart(one, other, ("gaze_x", "gaze_y"), None)
+    np.testing.assert_allclose(moved, [5.02e-4, 3.5e-3], rtol=1e-6)
+    np.testing.assert_allclose(deviations, 1e-2)
+    moved, deviations = apart(one, other, ("gaze_x", "gaze_y"), period)
+    np.testing.assert_allclose(moved, [2e-6, 0.0], atol=1e-12)
     np.testing.assert_allclose(deviations, 1e-6)
 
 
@@ -256,7 +255,7 @@ def test_no_start_is_dropped_early_for_little_while_none_explains_the_image(
     pictures = Pictures(model.scene, 32)
     pose = pictures.start()
     other = Scripted(pictures, best).climb(pose, phase=False)
-    assert model._top(Scripted(pictures, first, 1.0), pose, [other]).misfit == ends  # type: ignore[arg-type]
+    assert top_near(Scripted(pictures, first, 1.0), pose, [other]).misfit == ends  # type: ignore[arg-type]
 
 
 @pytest.mark.slow
@@ -301,6 +300,12 @@ class Refusing(Erring):
         return super().render_each(poses)
 
 
+def take(monkeypatch: pytest.MonkeyPatch, pictures: type[Pictures]) -> None:
+    """Search with these pictures, the finer ones, too."""
+    for module in ("fit", "finer"):
+        monkeypatch.setattr(f"tapetum.models.simulation.{module}.Pictures", pictures)
+
+
 class Telling(Erring):
     """Pictures whose error shows the gaze, by the more the coarser they are."""
 
@@ -317,7 +322,7 @@ def test_an_error_that_shows_the_gaze_does_not_count_in_bounds(scene: Scene, mon
         return SimulationFit(coarse, nodes=2, window=64, accuracy=accuracy).bounds((0.05, 0.1))["gaze_x"]
 
     true = bound()
-    monkeypatch.setattr("tapetum.models.simulation.fit.Pictures", Telling)
+    take(monkeypatch, Telling)
     assert bound(0.1) < 0.7 * true
     assert bound() == pytest.approx(true, rel=0.06)
 
@@ -329,11 +334,11 @@ def test_pictures_become_finer_until_their_error_moves_no_estimate(scene: Scene,
 
     def read(pictures: type[Pictures], accuracy: float | None = None) -> tuple[SimulationFitResult, float]:
         """A reading, and by how many standard deviations it lies aside of that by pictures without error."""
-        monkeypatch.setattr("tapetum.models.simulation.fit.Pictures", pictures)
+        take(monkeypatch, pictures)
         found = SimulationFit(coarse, nodes=5, starts=1, window=64, accuracy=accuracy).fit_image(frame)
         return found, float(found.values[0] - true.values[0]) / math.sqrt(true.covariance[0, 0])
 
-    monkeypatch.setattr("tapetum.models.simulation.fit.Pictures", Pictures)
+    take(monkeypatch, Pictures)
     true = SimulationFit(scene, nodes=5, starts=1, window=64).fit_image(frame)
     _, aside = read(Erring, 0.1)
     assert aside < -5

@@ -174,6 +174,18 @@ def test_a_correction_knows_its_paths_at_tilts_between_its_nodes(
     validated(SECTION, what, error / found.misfit, 1.0, "rays at other tilts", "of the stated misfit")
 
 
+def test_a_correction_knows_its_paths_at_shallow_tilts_too(validated: Any) -> None:
+    """There the worst paths lay at a quarter of the steepest tilt, halfway between two nodes."""
+    lens, steepest = PrescriptionLens("zoom-18-140mm", focal_length=0.1).focused(640e-9, 2.0), 0.012
+    nodes = TiltNodes.up_to(steepest)
+    found = corrected(lens, fit_pupils(lens, steepest, curvature=1 / 4, nodes=nodes), curvature=1 / 4, nodes=nodes)
+    assert found is not None
+    sines = steepest * torch.linspace(0.1, 0.5, 9, dtype=torch.float64)
+    error = float(check_return(lens, found, sines, curvature=1 / 4).opd.max())
+    what = "path of the return, 100 mm at 2 m seen from 4 m, tilts from 0.07° to 0.34°"
+    validated(SECTION, what, error / found.misfit, 1.0, "rays at other tilts", "of the stated misfit")
+
+
 def test_light_far_out_of_focus_is_known_to_a_fiftieth(far_out: FocusedLens) -> None:
     """Its paths were once known to 0.025 radians at best, and the way to the probe to 0.021."""
     aperture = ProbeAperture.behind_traced(5.5, 12.5e-3, 640e-9, 800 * 2.2e-6 / 0.1 / 2)

@@ -288,10 +288,13 @@ def _between(
     At the steepest nodes, where few rays return, each node may be fitted by coefficients unlike its neighbours': right
     at every node, wrong between them.
     """
-    # Tracing is most of a correction's cost: two tilts in each of the steeper gaps, and the steepest, beyond all nodes.
-    some = len(nodes.sines) // 2 + 1
-    low, high = nodes.sines[1:some], nodes.sines[: some - 1]
-    sines = torch.cat([high - (high - low) / 3, low + (high - low) / 3, high.new_tensor([nodes.steepest])])
+    # Tracing is most of a correction's cost: two tilts in each of the steeper gaps, one in each of the others, and the
+    # steepest, beyond all nodes.
+    low, high = nodes.sines[1:], nodes.sines[:-1]
+    steep = len(low) // 2
+    third = (high - low)[:steep] / 3
+    between = [high[:steep] - third, low[:steep] + third, ((low + high) / 2)[steep:]]
+    sines = torch.cat([*between, high.new_tensor([nodes.steepest])])
     tilt = fits.nodes.terms(sines)
     middle = tilt @ fits.middle
     box = None if accepted is None else _accepted_box(focused, sines, curvature, accepted)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -20,9 +18,11 @@ from tapetum.models.base import Data, Estimator
 from tapetum.models.domain import judged
 from tapetum.models.prediction import Prediction
 from tapetum.models.simulation.counts import CountModel
+from tapetum.models.simulation.finer import COARSER, SAME_BOUND, Finer, refined
 from tapetum.models.simulation.images import checked, looked_at
+from tapetum.models.simulation.maxima import EXPLAINED, LOST, climbed, farther, periods_of
 from tapetum.models.simulation.pictures import Pictures, Pose, check_scene
-from tapetum.models.simulation.result import SimulationFitResult, result_of, same_top, values_of
+from tapetum.models.simulation.result import SimulationFitResult, result_of, same_top
 from tapetum.models.simulation.search import FREE, PHASE, SLOW, Search, Top
 from tapetum.models.simulation.starts import Bank
 from tapetum.progress import Progress, quiet
@@ -38,23 +38,8 @@ _NODES, _NODES_SLOW = 25, 9
 _PICTURES = 1000
 # Default window: in the bundled scenes, pixels beyond hold 1 % of the information on the gaze.
 _WINDOW = 200
-# Compared photosite periods: those within this difference of log-likelihood, and their largest number.
-_UNLIKELY, _PERIODS_ASKED = 20.0, 9
-# A start is dropped when its log-likelihood lies this far behind after its first steps; while nothing explains the
-# image, only where its misfit is above this too: the right maximum's may still be less. Strange images leave far more.
-_HOPELESS, _FIRST_STEPS, _STRANGE = 200.0, 4, 6.0
-# Misfit up to which the search may end (a true scene gives 1.00 ± 0.05), by how much starts increase above it, and the
-# misfit above which the image does not show the scene.
-_EXPLAINED, _FARTHER, _LOST = 1.1, 4, 1.3
-# Share by which a bound may still change with finer pictures.
-_SAME_BOUND = 0.05
-# How often the phase is sought again at most, and the rise of the log-likelihood from which on it is once more.
-_AGAIN, _RISEN = 3, 1.0
-# By how much the accuracy is made coarser where it is refused.
-_COARSER = 1.3
-# By how much pictures become finer while their error may still move the maximum, to what accuracy at best, and by how
-# much of its standard deviation an estimate may still move then; above the misfit, not their error is what shows.
-_FINER, _FINEST, _STILL, _ROUGH = 3.0, 1e-3, 0.2, 2.0
+# By how much starts increase while none explains the image.
+_FARTHER = 4
 
 
 class SimulationFit(Estimator):
@@ -159,8 +144,8 @@ class SimulationFit(Estimator):
         self._free = tuple(name for name in (*self.quantities, *self.nuisances) if name not in (*SLOW, *PHASE))
         self._model = CountModel(scene.probe.sensor, unevenness)
         self._pictures: dict[int, tuple[Pictures, Bank]] = {}
-        self._finer_banks: dict[int, Bank] = {}
-        self._finer_pictures: dict[tuple[int, int], Pictures | None] = {}
+        self._banks_between: dict[int, Bank] = {}
+        self._finer = None if accuracy is not None else Finer(scene, _PICTURES)
 
     def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
         """Check that a dataset has the estimated labels, and crops that fit this scene's probe; nothing is learned.
@@ -216,7 +201,7 @@ class SimulationFit(Estimator):
             for name in ("values", "lower", "upper")
         )
         why = "the scene does not explain it: residuals {:.3g} times the noise's"
-        reasons = ["" if one.misfit <= _LOST else why.format(one.misfit) for one in found]
+        reasons = ["" if one.misfit <= LOST else why.format(one.misfit) for one in found]
         raw = judged(Prediction(self.quantities, value, lower, upper), None)
         return raw.because([own or other for own, other in zip(reasons, raw.reason, strict=True)], described=True)
 
@@ -244,14 +229,15 @@ class SimulationFit(Estimator):
             return [replace(pose, power=self.scene.illumination.power) for pose in found]
 
         usual = poses(bank)
-        tops = self._climbed(search, usual)
+        tops = climbed(search, usual[: self.starts])
         starts, (fine, found, moved) = len(tops), self._refined(search, tops)
-        if found[0].misfit > _EXPLAINED:
-            tops = self._farther(search, tops, usual, poses(self._finer(len(counts), progress)))
+        if found[0].misfit > EXPLAINED:
+            between = poses(self._bank_between(len(counts), progress))
+            tops = farther(search, tops, usual[: self.starts], between, (_FARTHER - 1) * self.starts)
             starts, (fine, found, moved) = len(tops), self._refined(search, tops)
         search, tops = fine, found
         rivals = [top for top in tops[1:] if not same_top(top, tops[0])]
-        periods = self._periods(search, tops[0])
+        periods = periods_of(search, tops[0]) if self._phase_known(search.pictures) else tops[:1]
         systematic = dict(zip(self.quantities, moved.tolist(), strict=True))
         for name, own in zip(SLOW, self.systematic, strict=True):
             systematic[name] = math.hypot(own, systematic.get(name, 0.0))
@@ -271,13 +257,10 @@ class SimulationFit(Estimator):
         """
         pictures, _ = self._prepared(min(self.window, *self.scene.probe.sensor.pixels), quiet)
         found = self._deviations(pictures, gaze)
-        for step in itertools.count(1):
+        for finer in () if self._finer is None else self._finer.steps(pictures.side):
             # Near the middle of the field, where a picture changes least, their error would pass for information.
-            finer = None if self.accuracy is not None else self._pictures_finer(pictures.side, step)
-            if finer is None:
-                break
             before, found = found, self._deviations(finer, gaze)
-            if (np.abs(found / before - 1) <= _SAME_BOUND).all():
+            if (np.abs(found / before - 1) <= SAME_BOUND).all():
                 break
         return dict(zip(self.quantities, found.tolist(), strict=True))
 
@@ -336,174 +319,26 @@ class SimulationFit(Estimator):
             except InputError:
                 if accuracy is None or accuracy >= own:
                     raise
-                accuracy = min(_COARSER * accuracy, own)
+                accuracy = min(COARSER * accuracy, own)
 
-    def _finer(self, side: int, progress: Progress) -> Bank:
+    def _bank_between(self, side: int, progress: Progress) -> Bank:
         """Return the bank with nodes halfway between, or the usual one where that is fine already; from a cache."""
         pictures, bank = self._pictures[side]
         if (nodes := 2 * bank.nodes - 1) > _NODES:
             return bank
-        if side not in self._finer_banks:
-            self._finer_banks[side] = Bank(pictures, nodes, progress)
-        return self._finer_banks[side]
+        if side not in self._banks_between:
+            self._banks_between[side] = Bank(pictures, nodes, progress)
+        return self._banks_between[side]
 
-    def _climbed(self, search: Search, poses: list[Pose]) -> list[Top]:
-        """Return the maxima near the first `starts` poses, best first."""
-        tops = [self._top(search, poses[0])]
-        for pose in poses[1 : self.starts]:
-            # The opposite of a maximum is nearly one itself, so that one step shows how high it is.
-            mirrored = tops[0].misfit <= _LOST and np.allclose(np.add(pose.gaze, poses[0].gaze), 0.0)
-            pose = replace(pose, gaze=_opposite(tops[0])) if mirrored else pose
-            tops.append(self._top(search, pose, tops, 1 if mirrored else _FIRST_STEPS))
-        return _best_first(search, tops)
-
-    def _farther(self, search: Search, tops: list[Top], begun: list[Pose], poses: list[Pose]) -> list[Top]:
-        """Return the maxima, best first, with those near further poses until one explains the image.
-
-        The first pose is opposite to the best maximum, which is more precise than those of a bank; of the others the
-        ones that were `begun` from are left out.
-        """
-        known = {_place(pose) for pose in begun[: self.starts]}
-        others = (pose for pose in poses if _place(pose) not in known)
-        opposite = replace(tops[0].pose, gaze=_opposite(tops[0]))
-        found = list(tops)
-        for pose in itertools.chain([opposite], itertools.islice(others, (_FARTHER - 1) * self.starts)):
-            found.append(self._top(search, pose, found))
-            if found[-1].misfit <= _EXPLAINED:
-                break
-        return _best_first(search, found)
+    def _phase_known(self, pictures: Pictures) -> bool:
+        """Whether photosites show whose place under the spot is known, so that the gaze is as precise as they tell."""
+        return pictures.period is not None and not set(PHASE) <= set(self.nuisances)
 
     def _refined(self, search: Search, tops: list[Top]) -> tuple[Search, list[Top], Array]:
-        """Return the search with pictures so fine that the maximum stays, and the maxima by them, best first; and how
-        far what is estimated [P] still moved where no finer ones are to be had.
-
-        Bright images tell far smaller differences than the scene's accuracy.
-        """
-        moved, likely = np.zeros(len(self.quantities)), [n == 0 or top.misfit <= _LOST for n, top in enumerate(tops)]
-        still, others = ([top for top, own in zip(tops, likely, strict=True) if own is kept] for kept in (True, False))
-        if self.accuracy is not None or still[0].misfit > _ROUGH:
-            return search, tops, moved
-        for step in itertools.count(1):
-            finer = self._pictures_finer(search.pictures.side, step)
-            if finer is None:
-                break
-            search = Search(finer, search.counts, self._model, self._free, self.offsets)
-            before = still[0]
-            climbed = [search.climb(top.pose, phase=PHASE[0] in top.names, slow=top.slow) for top in still]
-            found, *less = sorted(climbed, key=lambda top: -top.log_likelihood)
-            still = [found, *(top for top in less if top.log_likelihood > found.log_likelihood - _HOPELESS)]
-            others += less[len(still) - 1 :]
-            moved, deviations = self._apart(before, found, search.pictures.period)
-            if (moved <= _STILL * deviations).all():
-                moved = np.zeros(len(self.quantities))
-                break
-        return search, [*still, *others], moved
-
-    def _apart(self, one: Top, other: Top, period: Array | None) -> tuple[Array, Array]:
-        """Return how far what is estimated [P] lies apart at two maxima, and its standard deviations at the second.
-
-        Where the photosites' period is determined afterwards, the gaze is as precise as their phase.
-        """
-        names, tops = list(self.quantities), [one, other]
-        fast = None if set(PHASE) <= set(self.nuisances) else period
-        if fast is not None:
-            tops = [replace(top, slow=np.zeros(2)) for top in tops]
-        before, after = (values_of(top, self.quantities, np.zeros(2)) for top in tops)
-        apart = np.abs(after - before)
-        for n, name in enumerate(SLOW):
-            if fast is not None and name in names:
-                at = names.index(name)
-                apart[at] = abs(math.remainder(apart[at], float(fast[n])))
-                names[at] = PHASE[n]
-        deviations = np.sqrt(np.maximum(other.covariance.diagonal(), 0.0))
-        return apart, deviations[[other.names.index(name) for name in names]]
-
-    def _pictures_finer(self, side: int, step: int) -> Pictures | None:
-        """Return pictures so many steps finer than the scene's accuracy, from a cache; None where there are none.
-
-        Behind a traced lens the last ones are as fine as the engine allows.
-        """
-        key = side, step
-        if key not in self._finer_pictures:
-            coarser = self.scene.sampling.accuracy / _FINER ** (step - 1)
-            accuracy, found = coarser / _FINER, None
-            while found is None and _FINEST <= accuracy < coarser / _COARSER:
-                made = Pictures(self.scene, side, accuracy, count=_PICTURES)
-                with contextlib.suppress(InputError):
-                    made.render_each([made.start()])
-                    found = made
-                accuracy *= _COARSER
-            self._finer_pictures[key] = found
-        return self._finer_pictures[key]
-
-    def _top(self, search: Search, pose: Pose, others: Sequence[Top] = (), first: int = _FIRST_STEPS) -> Top:
-        """Return the maximum near a pose; a search that falls far behind others stops after its `first` steps."""
-        phase, pose = search.pictures.period is not None, search.in_phase(pose)
-        best = max(others, key=lambda one: one.log_likelihood, default=None)
-        if best is None:
-            top = search.climb(pose, phase=phase)
-        else:
-            top = search.climb(pose, phase=phase, steps=first)
-            near = top.log_likelihood > best.log_likelihood - _HOPELESS
-            near |= best.misfit > _LOST and top.misfit < _STRANGE
-            if near and not top.settled:
-                top = search.climb(top.pose, phase=phase, slow=top.slow)
-        if not phase or top.misfit <= _LOST or (best is not None and top.log_likelihood <= best.log_likelihood):
-            return top
-        return _in_phase_again(search, top)
-
-    def _periods(self, search: Search, top: Top) -> list[Top]:
-        """Return the best maximum alone, or those of the photosite periods that the slow gaze leaves likely."""
-        period = search.pictures.period
-        if period is None or set(PHASE) <= set(self.nuisances):
-            return [top]
-        # Curvature of the log-likelihood along the slow gaze, maximised over all else.
-        slow = np.linalg.inv(top.covariance[:2, :2]) / max(1.0, top.misfit)
-        away = np.rint(top.slow / period)
-        steps = [np.array(one) + away for one in itertools.product(range(-6, 7), repeat=2)]
-        rises = [float((one * period - top.slow) @ slow @ (one * period - top.slow)) for one in steps]
-        order = np.argsort(rises)[:_PERIODS_ASKED]
-        found: list[Top] = []
-        for number in order:
-            if rises[number] > rises[order[0]] + _UNLIKELY:
-                break
-            gaze = np.array(top.pose.gaze) + steps[number] * period
-            at = replace(top.pose, gaze=(float(gaze[0]), float(gaze[1])))
-            found.append(search.climb(at, phase=False, steps=8))
-        return sorted(found, key=lambda one: -one.log_likelihood)
-
-
-def _opposite(top: Top) -> tuple[float, float]:
-    """Return the gaze opposite to a maximum's, within the bank's field."""
-    x, y = np.clip(np.array(top.pose.gaze) + top.slow, -0.48, 0.48)
-    return -float(x), -float(y)
-
-
-def _best_first(search: Search, tops: list[Top]) -> list[Top]:
-    """Return maxima by likelihood, the best one with the photosites' phase sought again."""
-    first, *others = sorted(tops, key=lambda top: -top.log_likelihood)
-    # A wrong phase may explain the image nearly as well.
-    return [first if search.pictures.period is None else _in_phase_again(search, first), *others]
-
-
-def _in_phase_again(search: Search, top: Top) -> Top:
-    """Return the maximum from where a search ended, with the photosites' phase sought again there, while that rises.
-
-    While the slow gaze was far off, the phase may have settled at another maximum than it has here.
-    """
-    for _ in range(_AGAIN):
-        x, y = np.array(top.pose.gaze) + top.slow
-        again = search.climb(search.in_phase(replace(top.pose, gaze=(float(x), float(y)))), phase=True)
-        if again.log_likelihood <= top.log_likelihood + _RISEN:
-            break
-        top = again
-    return top
-
-
-def _place(pose: Pose) -> tuple[float, float]:
-    """Return a bank's gaze in a form that compares."""
-    x, y = np.round(pose.gaze, 6)
-    return float(x), float(y)
+        """Return what `refined` does; where pictures have one accuracy alone, what is given."""
+        if self._finer is None:
+            return search, tops, np.zeros(len(self.quantities))
+        return refined(search, tops, self._finer, self.quantities, phase_known=self._phase_known(search.pictures))
 
 
 def _two(values: Sequence[float], where: str, what: str, remedy: str) -> tuple[float, float]:
