@@ -474,6 +474,8 @@ def test_bad_input_gets_one_line(scene: Scene, model: SimulationFit):
         (lambda: SimulationFit(scene, nuisances=("power", "phase_x")), "phase_x and phase_y"),
         (lambda: SimulationFit(load_scene("rotation"), ("focal_length",)), "focal length of a traced lens"),
         (lambda: SimulationFit(scene, starts=0), "starts"),
+        (lambda: SimulationFit(scene, accuracy=0.0), "accuracy"),
+        (lambda: SimulationFit(scene, accuracy=float("nan")), "accuracy"),
         (lambda: SimulationFit(scene, offsets=(0.5,)), "offsets: must be two numbers"),
         (lambda: SimulationFit(scene, offsets=(0.5, -1)), "offsets: must be two numbers"),
         (

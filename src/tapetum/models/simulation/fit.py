@@ -129,6 +129,8 @@ class SimulationFit(Estimator):
         for name, value, least in (("starts", starts, 1), ("window", window, 32), ("nodes", nodes or 2, 2)):
             if value < least:
                 raise InputError(f"must be {least} or more, is {value}", where=name, remedy="give a whole number")
+        if accuracy is not None and not 0 < accuracy < math.inf:
+            raise InputError(f"must be positive, is {accuracy}", where="accuracy", remedy="0.01 is usual")
         if not 0 <= unevenness < 1:
             what = f"must lie from 0 to 1, is {unevenness}"
             raise InputError(what, where="unevenness", remedy="0.01 is usual")

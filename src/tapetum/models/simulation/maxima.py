@@ -14,7 +14,7 @@ from tapetum.models.simulation.search import Search, Top
 __all__ = ["EXPLAINED", "HOPELESS", "LOST", "climbed", "farther", "periods_of", "top_near"]
 
 EXPLAINED, LOST = 1.1, 1.3
-"""Misfits up to which a search may end (a true scene gives 1.00 ± 0.05), and above which the scene is not the image's."""
+"""Misfits up to which a search may end (a true scene gives 1.00 ± 0.05), and above which a scene is not the image's."""
 HOPELESS = 200.0
 """How far behind another a maximum's log-likelihood is that is not worth following."""
 # Steps after which a hopeless start is dropped; while nothing explains the image, only where its misfit is above this,
