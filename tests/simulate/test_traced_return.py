@@ -56,7 +56,7 @@ def test_light_far_out_of_focus_comes_back_another_way() -> None:
     case = Case("photo-50mm-f1.8", 3.0, 1.0)
     focused, fits = traced(case)
     departure = float(check_return(focused, fits, tilts(case)).opd.max())
-    assert departure > 0.3 * WAVELENGTH
+    assert departure > 0.2 * WAVELENGTH
 
 
 @pytest.mark.parametrize("case", [*LENSES, NEAR[-1]], ids=str)
@@ -195,7 +195,7 @@ def test_light_far_out_of_focus_is_known_to_a_fiftieth(far_out: FocusedLens) -> 
 
 
 def test_a_correction_keeps_the_waves_beyond_the_rays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rays come back within 0.91 of the pupil, and 0.0015 waves off the model's paths: the picture hardly changes.
+    """Rays come back within 0.91 of the pupil, and little off the model's paths: the picture hardly changes.
 
     The fits once ended where the rays do, and the light diffracted beyond them was cut off: 0.14 of the peak.
     """
@@ -210,13 +210,13 @@ def test_a_correction_keeps_the_waves_beyond_the_rays(monkeypatch: pytest.Monkey
         "probe.lens.focal_length": 0.0555,
         "probe.sensor.pixels": [33, 33],
         "probe.sensor.pitch": 3.26e-6,
-        "sampling": {"accuracy": 0.03, "propagation": "far field"},
+        "sampling": {"accuracy": 0.01, "propagation": "far field"},
     }
     scene = with_values(load_scene("thin-lens"), changes)
     ours = retroreflect(scene).irradiance
     monkeypatch.setattr("tapetum.simulate.traced_light.corrected", lambda *given, **named: None)
     usual = retroreflect(scene).irradiance
-    assert 0 < float((ours - usual).abs().max() / usual.max()) < 0.04
+    assert 0 < float((ours - usual).abs().max() / usual.max()) < 0.01
 
 
 @pytest.mark.parametrize(("error", "asked"), [(0.1125, 0.12), (0.1, 0.1), (0.0349, 0.035), (1.01e-3, 1.1e-3)])

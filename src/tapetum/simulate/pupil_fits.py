@@ -36,7 +36,6 @@ __all__ = [
     "reach_of_rays",
     "rounded_up",
     "values_at",
-    "with_rim",
 ]
 
 # Degrees of the polynomials: a phase needs many, an edge must not oscillate between its rays.
@@ -179,7 +178,9 @@ def fit_pupils(
     """
     nodes = nodes or TiltNodes.up_to(steepest)
     entering = trace_bundle(focused, nodes.sines, curvature=curvature)
-    leaving = entering if curvature == 0 else trace_bundle(focused, nodes.sines, middle=entering.middle)
+    leaving = entering
+    if curvature != 0:
+        leaving = trace_bundle(focused, nodes.sines, middle=entering.middle, bend=entering.bend)
     into, in_misfit = fit_functions(
         nodes,
         entering.s,
@@ -199,7 +200,7 @@ def fit_pupils(
         out,
         nodes.coefficients(entering.middle),
         nodes.coefficients(entering.radius),
-        nodes.coefficients(_chief_bend(entering)),
+        nodes.coefficients(entering.bend),
         spread,
         defocus,
         aberration,
@@ -221,7 +222,8 @@ def narrowed(fits: PupilFits, focused: FocusedLens, nodes: TiltNodes, curvature:
     that enters alone.
     """
     tilt = fits.nodes.terms(nodes.sines)
-    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=tilt @ fits.middle, sloped=False)
+    middle, bend = tilt @ fits.middle, tilt @ fits.bend
+    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, bend=bend, sloped=False)
     misfit = values_at(fits.entering, tilt, bundle.s)[0][:, 0] - bundle.psi
     u = (bundle.s - (tilt @ fits.entering.centre)[:, None]) / (tilt @ fits.entering.half)[:, None]
     inside = bundle.passing & (u.abs() <= 1).all(-1)
@@ -233,31 +235,15 @@ def narrowed(fits: PupilFits, focused: FocusedLens, nodes: TiltNodes, curvature:
         nodes,
         entering,
         leaving,
-        nodes.coefficients(tilt @ fits.middle),
+        nodes.coefficients(middle),
         nodes.coefficients(tilt @ fits.radius),
-        nodes.coefficients(tilt @ fits.bend),
+        nodes.coefficients(bend),
         spread,
         defocus,
         aberration,
         float(square.max().sqrt()),
         (float((at_nodes @ entering.half).max()), fits.aperture[1]),
     )
-
-
-def with_rim(fits: PupilFits, curvature: float) -> PupilFits:
-    """The same pupils with the C of the light that returns from the rim, which is `curvature` head on, in 1/m.
-
-    In focus only light far from the spot feels C, and it comes from the rim: to v from where the rim lies across v, so
-    that s is along v. A mirror takes s to -s, so the rim's light returns where both lie in the pupil. Between the
-    pupil's middle, where C is 1/z, and the rim it is taken as linear in s².
-    """
-    at = chebyshev(fits.nodes.places, fits.nodes.count)
-    middle, radius = at @ fits.middle, at @ fits.radius
-    apart = ((at @ fits.entering.centre)[:, 1].abs() / (at @ fits.entering.half)[:, 1]).clamp(max=1)
-    # Squared half widths of what the pupil and its mirror image share, over the pupil's own.
-    shared = torch.stack([1 - apart**2, (1 - apart) ** 2], -1)
-    inner = 1 / torch.sqrt(radius**2 - middle**2)[:, None]
-    return replace(fits, bend=fits.nodes.coefficients(inner + (curvature - inner) * shared))
 
 
 def part_of(fits: PupilFits, leaving: Fit, nodes: TiltNodes, landings: torch.Tensor, some: torch.Tensor) -> Part:
@@ -308,12 +294,6 @@ def fit_leaving(
         ],
         [(leaving.s[..., 0], MAP_DEGREE)],
     )
-
-
-def _chief_bend(bundle: Bundle) -> torch.Tensor:
-    """C under the chief ray's angle, [T, 2] in 1/m: (1 - s_c s_cᵀ)/R."""
-    chief = bundle.middle / bundle.radius
-    return torch.stack([torch.ones_like(chief), 1 - chief**2], -1) / bundle.radius[:, None]
 
 
 def _landings(bundle: Bundle) -> tuple[float, float, float]:

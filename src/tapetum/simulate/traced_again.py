@@ -14,10 +14,9 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.simulate.probe_path import ProbePath
-from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, with_rim
+from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.surfaces import Surface
-from tapetum.simulate.traced_bundle import rim_curvature
-from tapetum.simulate.traced_light import TracedScene, Way, in_air, is_blurred, traced_scene
+from tapetum.simulate.traced_light import TracedScene, Way, in_air, traced_scene
 from tapetum.simulate.traced_pass import TracedPass
 from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.traced_return import corrected
@@ -76,9 +75,7 @@ def _fits(scene: TracedScene, one: TracedPass) -> PupilFits:
     """The pupils of another lens as `followed` found those of a pass."""
     before = one.fits.corrected_from
     if before is None:
-        return (
-            scene.fits if is_blurred(one.fits, scene.wavelength) else with_rim(scene.fits, rim_curvature(scene.focused))
-        )
+        return scene.fits
     fits = scene.fits
     if before != fits.nodes:
         fits = fit_pupils(scene.focused, before.steepest, curvature=scene.curvature, nodes=before)

@@ -1,13 +1,15 @@
 """Bundles of rays through a real lens, in the coordinates in which its diffraction is computed.
 
-A bundle starts on the plane of the entrance pupil, at e, and goes through the lens. Behind it each ray is followed back
-to the plane of the exit pupil, to the point p. With y0 the middle of the spot on the sensor,
+A bundle starts on the plane in which the pupil's rim is sharp for the probe, at e, and goes through the lens to the
+sensor. A ray with the direction cosines d (transverse part) that lands at y0 + w, y0 being the middle of the spot, is
+known by
 
-    s = (y0 - p)/|y0 - p|      direction cosines in image space (transverse part)
-    Ψ = path(e … p) + |y0 - p| phase of the light from e, referred to y0, in metres
+    s = d - C w
+    Ψ = path(e … y0 + w) - s·w - w·Cw/2   phase of the light from e, referred to y0, in metres
 
-and the field on the sensor at y0 + v is ∫ A exp(ikΨ(s)) exp(ik(s·v + v·Cv/2)) d²s, C = (1 - s_c s_cᵀ)/R: only the
-departure from a point image is sampled. In focus only light of the pupil's rim feels C: `rim_curvature`. The lens is
+and the field on the sensor at y0 + v is ∫ A exp(ikΨ(s)) exp(ik(s·v + v·Cv/2)) d²s: only the departure from a point
+image is sampled. Whatever C is, each ray has its place, phase and strength there. C is that of light which a place of
+the pupil's rim sends on under other directions than its ray's: by diffraction, far from the spot. The lens is
 rotationally symmetric: tilts are along y.
 
 One file of more than 400 lines, because tracing a bundle and searching the box of rays to trace share their starts.
@@ -27,7 +29,7 @@ from tapetum.optics.focus import FocusedLens
 from tapetum.optics.rays import Rays, to_plane, trace
 
 __all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "mirrored", "right_half", "spot_middles"]
-__all__ += ["rim_curvature", "trace_bundle"]
+__all__ += ["pupil_depth", "trace_bundle"]
 
 # Rays a side of the two bundles that find the pupil.
 _COARSEST, _COARSE = 29, 49
@@ -44,6 +46,8 @@ _FEW = 21
 BEYOND = 1.06
 # Places between two rays, along either axis, where rims are compared.
 _BETWEEN = 8
+# Rays that find the rim, and how far at most its image is sought behind the entrance pupil, in radii of it.
+_RIM_RAYS, _DEEPEST = 65, 2.0
 # Farthest exit pupil before the sensor, in focal lengths, in place of one farther away or behind it.
 _FARTHEST_PUPIL = 40.0
 # Sine of the tilts between which rays from a place of the rim cross, and steps of the search for these rays.
@@ -68,17 +72,21 @@ class Bundle:
     Parameters
     ----------
     e
-        [F, N, 2] where they cross the plane of the entrance pupil.
-    s, psi
-        [F, N, 2] and [F, N], see the module.
-    jacobian
-        [F, N] |∂s/∂e|, in 1/m²; NaN where it was not asked for.
+        [F, N, 2] where they cross the plane of the pupil's rim, from where the axis of the light does.
+    direction
+        [F, N, 2] direction cosines across the axis at the sensor.
     landing
         [F, N, 2] where they meet the sensor.
+    path
+        [F, N] of the wave up to there.
+    slopes
+        [F, N, 2, 2, 2] derivatives of `direction` and `landing` by e; NaN where they were not asked for.
     middle
         [F] y of y0 on the sensor.
     radius
         [F] distance R of y0 from the exit pupil's middle.
+    bend
+        [F, 2] C across and along the tilt, in 1/m.
     before
         [F, N] path of the wave before e.
     rays
@@ -86,14 +94,38 @@ class Bundle:
     """
 
     e: torch.Tensor
-    s: torch.Tensor
-    psi: torch.Tensor
-    jacobian: torch.Tensor
+    direction: torch.Tensor
     landing: torch.Tensor
+    path: torch.Tensor
+    slopes: torch.Tensor
     middle: torch.Tensor
     radius: torch.Tensor
+    bend: torch.Tensor
     before: torch.Tensor
     rays: Rays
+
+    @property
+    def beside(self) -> torch.Tensor:
+        """[F, N, 2] from y0 to where they meet the sensor."""
+        y0 = torch.stack([torch.zeros_like(self.middle), self.middle], -1)
+        return self.landing - y0[:, None]
+
+    @property
+    def s(self) -> torch.Tensor:
+        """[F, N, 2], see the module."""
+        return self.direction - self.bend[:, None] * self.beside
+
+    @property
+    def psi(self) -> torch.Tensor:
+        """[F, N], see the module."""
+        w = self.beside
+        return self.path - ((self.direction - self.bend[:, None] * w / 2) * w).sum(-1)
+
+    @property
+    def jacobian(self) -> torch.Tensor:
+        """[F, N] |∂s/∂e|, in 1/m²."""
+        by_e = self.slopes[..., 0, :, :] - self.bend[:, None, :, None] * self.slopes[..., 1, :, :]
+        return (by_e[..., 0, 0] * by_e[..., 1, 1] - by_e[..., 0, 1] * by_e[..., 1, 0]).abs()
 
     @property
     def near(self) -> torch.Tensor:
@@ -122,6 +154,7 @@ def trace_bundle(
     *,
     curvature: float = 0.0,
     middle: torch.Tensor | None = None,
+    bend: torch.Tensor | None = None,
     count: int = 37,
     box: tuple[torch.Tensor, torch.Tensor] | None = None,
     sloped: bool = True,
@@ -138,6 +171,8 @@ def trace_bundle(
         Of the wave at the entrance pupil, in 1/m.
     middle
         [F] y of the points that phases are referred to; default: the spots' own.
+    bend
+        [F, 2] C across and along the tilt, in 1/m; default: of `rim_bend`.
     count
         Rays a side of each bundle.
     box
@@ -152,40 +187,43 @@ def trace_bundle(
         Where no ray gets through.
     """
     if box is None:
-        ways = _kept_ways(_anywhere(focused), _tilts(sines), curvature, count, _exit_plane(focused), sloped)
+        ways = _kept_ways(_anywhere(focused), _tilts(sines), curvature, count, sloped)
     else:
-        e = _starts(box, count)
-        ways = _followed(focused, e, sines, curvature, count, _exit_plane(focused), sloped)
-    landing, found = _landed(focused, ways.rays)
-    middle = found if middle is None else middle
-    exit_plane = _exit_plane(focused)
-    y0 = torch.stack([torch.zeros_like(middle), middle, torch.full_like(middle, focused.image)], -1)
-    apart = y0[:, None, :] - ways.exit
-    radius = length(apart)
-    s = apart[..., :2] / radius[..., None]
-    # |∂s/∂p| of a direction seen from a plane across the axis.
-    jacobian = ways.stretch * apart[..., 2] ** 2 / radius**4
-    psi = ways.path + radius
-    chief = torch.hypot(middle, torch.full_like(middle, focused.image - exit_plane))
-    good = ways.rays.good & (torch.isfinite(jacobian) if sloped else torch.isfinite(s).all(-1))
+        ways = _followed(_anywhere(focused), _starts(box, count), sines, curvature, sloped)
+    way = (focused.image - ways.place[..., 2]) / ways.direction[..., 2]
+    places = ways.place + way[..., None] * ways.direction
+    landing, direction, path = places[:, 0, :, :2], ways.direction[:, 0, :, :2], ways.path + way[:, 0]
+    slopes = torch.full((*landing.shape, 2, 2), torch.nan, dtype=landing.dtype)
+    good = ways.rays.good & torch.isfinite(path)
+    if sloped:
+        # Derivatives of both by e, from the rays beside each.
+        both = torch.stack([ways.direction[..., :2], places[..., :2]], -2)
+        slopes = torch.stack([both[:, 1] - both[:, 0], both[:, 2] - both[:, 0]], -1) / ways.step
+        good = good & ways.together & torch.isfinite(slopes).flatten(2).all(-1)
+    middle = _middle(landing, ways.rays) if middle is None else middle
+    radius = torch.hypot(middle, torch.full_like(middle, focused.image - _exit_plane(focused)))
+    bend = rim_bend(focused, middle / radius) if bend is None else bend
     rays = replace(ways.rays, good=good)
-    return Bundle(ways.e, s, psi, jacobian, landing[..., :2], middle, chief, ways.before, rays)
+    return Bundle(ways.e, direction, landing, path, slopes, middle, radius, bend, ways.before, rays)
 
 
 @dataclass(frozen=True)
 class _Ways:
-    """Rays of a bundle up to the plane of the exit pupil; where the sensor stands does not matter.
+    """Rays of a bundle behind the lens; where the sensor stands does not matter.
 
-    `exit` [F, N, 3] is where they meet that plane, `stretch` [F, N] is |∂exit/∂e| (NaN where it was not asked for),
-    `path` [F, N] the whole path there, `before` [F, N] that of the wave before e.
+    `place` and `direction` [F, 1 or 3, N, 3] are those of each ray at z = 0, and of two that start `step` metres beside
+    it across and along the tilt; `together` [F, N] is whether all three came through, `path` [F, N] that of each ray,
+    `before` [F, N] that of the wave before e.
     """
 
     e: torch.Tensor
     rays: Rays
     before: torch.Tensor
-    exit: torch.Tensor
+    place: torch.Tensor
+    direction: torch.Tensor
     path: torch.Tensor
-    stretch: torch.Tensor
+    together: torch.Tensor
+    step: float
 
 
 def _anywhere(focused: FocusedLens) -> FocusedLens:
@@ -199,53 +237,53 @@ def _tilts(sines: torch.Tensor) -> tuple[float, ...]:
 
 # Planes that interfere, and the checks of each, ask for the same bundles of a lens.
 @functools.lru_cache(maxsize=8)
-def _kept_ways(
-    lens: FocusedLens, tilts: tuple[float, ...], curvature: float, count: int, exit_plane: float, sloped: bool
-) -> _Ways:
+def _kept_ways(lens: FocusedLens, tilts: tuple[float, ...], curvature: float, count: int, sloped: bool) -> _Ways:
     sines = torch.tensor(tilts, dtype=torch.float64)
     # The mean of few rays depends on where the box ends.
     boxes = _searched_boxes if count <= _FEW else _pupil_boxes
     lower, upper = boxes(lens, sines, curvature)
     more = (upper - lower) / 2 * (BEYOND - 1)
-    return _followed(lens, _starts((lower - more, upper + more), count), sines, curvature, count, exit_plane, sloped)
+    return _followed(lens, _starts((lower - more, upper + more), count), sines, curvature, sloped)
 
 
-def _followed(
-    focused: FocusedLens,
-    e: torch.Tensor,
-    sines: torch.Tensor,
-    curvature: float,
-    count: int,
-    exit_plane: float,
-    sloped: bool,
-) -> _Ways:
-    right, wide, step = right_half(e), 0, _BESIDE * focused.entrance_radius
-    if sloped:
-        # Rays beside each, whose places give the derivatives: three rays take less than one with its gradients.
-        right = right[:, None] + step * torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=e.dtype)[:, None]
-        wide = right.shape[2]
-        right = right.flatten(1, 2)
+def _followed(focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float, sloped: bool) -> _Ways:
+    right, count, step = right_half(e), math.isqrt(e.shape[1]), _BESIDE * focused.entrance_radius
+    fields, wide = right.shape[:2]
+    # Rays beside each, whose places give the derivatives: three rays take less than one with its gradients.
+    starts = [[0.0, 0.0], [step, 0.0], [0.0, step]] if sloped else [[0.0, 0.0]]
+    right = (right[:, None] + torch.tensor(starts, dtype=e.dtype)[:, None]).flatten(1, 2)
     start, way, before = _incoming(focused, right, sines, curvature)
     rays = trace(focused.lens, start, way)
-    p, back = to_plane(rays.position, rays.direction, exit_plane)
     # The index behind the lens is 1: the sensor stands in air.
+    place, back = to_plane(rays.position, rays.direction, 0.0)
     path = before + rays.path + back
-    stretch = torch.full_like(path, torch.nan)
+    turn = place.new_tensor([-1.0, 1.0, 1.0])
+
+    def whole(values: torch.Tensor, turn: torch.Tensor | None = None) -> torch.Tensor:
+        """[F, 1 or 3, N, …] of values on the right of the middle, mirrored to the left."""
+        parts = values.reshape(fields, -1, wide, *values.shape[2:])
+        return torch.stack([_both(part, count, turn) for part in parts.unbind(1)], 1)
+
+    places, directions = whole(place, turn), whole(rays.direction, turn)
     if sloped:
-        own, x, y = p[..., :2].reshape(len(p), 3, wide, 2).unbind(1)
-        x, y = (x - own) / step, (y - own) / step
-        together = rays.good.reshape(len(p), 3, wide).all(1)
-        stretch = torch.where(together, (x[..., 0] * y[..., 1] - x[..., 1] * y[..., 0]).abs(), torch.nan)
-        p, path, before = p[:, :wide], path[:, :wide], before[:, :wide]
-        rays = Rays(**{name: value[:, :wide] for name, value in vars(rays).items()})
-    turn = p.new_tensor([-1.0, 1.0, 1.0])
+        # Left of the middle the ray beside stands on the other side.
+        left = torch.zeros(count, count, dtype=torch.bool)
+        left[:, : count // 2] = True
+        left = left.flatten()[:, None]
+        places, directions = (
+            torch.stack([one[:, 0], torch.where(left, 2 * one[:, 0] - one[:, 1], one[:, 1]), one[:, 2]], 1)
+            for one in (places, directions)
+        )
+    own = Rays(**{name: value[:, :wide] for name, value in vars(rays).items()})
     return _Ways(
         e,
-        mirrored(rays, count),
-        _both(before, count),
-        _both(p, count, turn),
-        _both(path, count),
-        _both(stretch, count),
+        mirrored(own, count),
+        _both(before[:, :wide], count),
+        places,
+        directions,
+        _both(path[:, :wide], count),
+        whole(rays.good).all(1),
+        step,
     )
 
 
@@ -283,42 +321,80 @@ def spot_middles(focused: FocusedLens, sines: torch.Tensor, *, count: int) -> to
     return trace_bundle(focused, sines, count=count, sloped=False).middle
 
 
-def rim_curvature(focused: FocusedLens) -> float:
-    """C of light from the pupil's rim about the sensor's middle, along s, in 1/m.
+def rim_bend(focused: FocusedLens, chief: torch.Tensor) -> torch.Tensor:
+    """C of the light that returns from the pupil's rim, [F, 2] across and along the tilt, in 1/m, for chief rays of
+    sines [F].
+
+    Only light far from the spot feels C, and it comes from the rim: to v from where the rim lies across v, so that s is
+    along v. A mirror takes s to -s, so the rim's light returns where both lie in the pupil. Between the pupil's middle,
+    where C is 1/z, and the rim it is taken as linear in s².
 
     Light from a place of the rim seems to come from where the rays through it cross behind the lens, at the distance L
     before the sensor along the axis: C is cos³θ/L. The stop's paraxial image has the L of light near the axis alone.
     """
-    place, slope = _rim_crossing(_anywhere(focused))
-    middle = 1 / (focused.image - _exit_plane(focused))
+    rim = _rim(_anywhere(focused))
+    inner = 1 / (focused.image - _exit_plane(focused))
     # Parallel rays cross nowhere.
-    found = middle if not math.isfinite(place) else 1 / ((focused.image - place) * (1 + slope**2) ** 1.5)
-    return min(max(found, _RIM_CURVATURES[0] * middle), _RIM_CURVATURES[1] * middle)
+    found = (
+        inner if not math.isfinite(rim.crossing) else 1 / ((focused.image - rim.crossing) * (1 + rim.slope**2) ** 1.5)
+    )
+    found = min(max(found, _RIM_CURVATURES[0] * inner), _RIM_CURVATURES[1] * inner)
+    apart = (chief / math.sin(math.atan(rim.slope))).abs().clamp(max=1)
+    # Squared half widths of what the pupil and its mirror image share, over the pupil's own.
+    shared = torch.stack([1 - apart**2, (1 - apart) ** 2], -1)
+    return inner + (found - inner) * shared
+
+
+def pupil_depth(focused: FocusedLens) -> float:
+    """How far behind the paraxial entrance pupil the probe sees the pupil's rim sharp, in metres.
+
+    On any other plane the rim's place depends on the direction of the light, which differs between what enters and what
+    leaves.
+    """
+    return _rim(_anywhere(focused)).depth
+
+
+@dataclass(frozen=True)
+class _Rim:
+    """Where rays through a place of the rim, under tilts of either sign, cross: z behind the lens, infinite where they
+    do not, and `depth` behind the entrance pupil before it. `slope` is that of the ray head on behind the lens."""
+
+    crossing: float
+    slope: float
+    depth: float
 
 
 @functools.lru_cache(maxsize=32)
-def _rim_crossing(lens: FocusedLens) -> tuple[float, float]:
-    """z where rays through one place of the rim, under tilts of either sign, cross; and the slope of those head on."""
+def _rim(lens: FocusedLens) -> _Rim:
     sines = torch.tensor([0.0, -_LITTLE_TILT, _LITTLE_TILT], dtype=torch.float64)
-    _, upper = _searched_boxes(lens, sines[:1], 0.0)
+    # A grid along y alone.
+    line = torch.linspace(0, 2.2 * lens.entrance_radius, _RIM_RAYS, dtype=torch.float64)
 
-    def sent(y: torch.Tensor) -> Rays:
-        e = torch.stack([torch.zeros_like(y), y], -1)[:, None]
-        start, way, _ = _incoming(lens, e, sines, 0.0)
+    def sent(y: torch.Tensor, tilts: torch.Tensor) -> Rays:
+        e = torch.stack([torch.zeros_like(y), y], -1)
+        start, way, _ = _incoming(lens, e, tilts, 0.0, depth=0.0)
         return trace(lens.lens, start, way)
 
+    rays = sent(line[None], sines[:1])
+    stopped = ~(rays.good & (rays.height <= 1).all(-1))[0]
+    first = int(torch.nonzero(stopped)[0]) if bool(stopped.any()) else _RIM_RAYS - 1
     # Just beyond the edge head on: the highest ray is that at the surface whose rim stops it.
-    y = upper[0, 1].expand(3)
-    beyond, inside = sent(y).height, sent(0.9 * y).height
-    rim = int(beyond[0, 0].argmax())
-    rate = (torch.sqrt(beyond[:, 0, rim]) - torch.sqrt(inside[:, 0, rim])) / (0.1 * y)
+    y = line[max(first, 1)].expand(3, 1)
+    beyond, inside = sent(y, sines).height, sent(0.9 * y, sines).height
+    rim = int(torch.nan_to_num(beyond[0, 0]).argmax())
+    rate = (torch.sqrt(beyond[:, :, rim]) - torch.sqrt(inside[:, :, rim])) / (0.1 * y)
     for _ in range(_STEPS):
-        y = y + (1 - torch.sqrt(sent(y).height[:, 0, rim])) / rate
-    rays = sent(y)
+        y = y + (1 - torch.sqrt(sent(y, sines).height[:, :, rim])) / rate
+    rays = sent(y, sines)
     place, _ = to_plane(rays.position, rays.direction, 0.0)
     slope = rays.direction[:, 0, 1] / rays.direction[:, 0, 2]
     crossing = float((place[1, 0, 1] - place[2, 0, 1]) / (slope[2] - slope[1]))
-    return crossing, float(slope[0])
+    depth = float((y[1, 0] - y[2, 0]) / (2 * math.tan(math.asin(_LITTLE_TILT))))
+    if not math.isfinite(crossing + depth):
+        # No ray gets through just beyond the edge: as of a lens without aberrations.
+        return _Rim(math.inf, -lens.entrance_radius / lens.focal_length, 0.0)
+    deepest = _DEEPEST * lens.entrance_radius
+    return _Rim(crossing, float(slope[0]), min(max(depth, -deepest), deepest))
 
 
 def _starts(box: tuple[torch.Tensor, torch.Tensor], count: int) -> torch.Tensor:
@@ -329,13 +405,12 @@ def _starts(box: tuple[torch.Tensor, torch.Tensor], count: int) -> torch.Tensor:
     return (upper + lower)[:, None, :] / 2 + (upper - lower)[:, None, :] / 2 * grid
 
 
-def _landed(focused: FocusedLens, rays: Rays) -> tuple[torch.Tensor, torch.Tensor]:
-    """Where rays meet the sensor, [F, N, 3], and the mean y of those that pass, [F]."""
-    landing, _ = to_plane(rays.position, rays.direction, focused.image)
+def _middle(landing: torch.Tensor, rays: Rays) -> torch.Tensor:
+    """Mean y [F] at which those rays that pass meet the sensor, of landings [F, N, 2]."""
     passing = rays.good & (rays.height <= 1).all(-1)
     # A stray ray may not have landed at all.
     landed = torch.where(passing, landing[..., 1], torch.zeros_like(landing[..., 1]))
-    return landing, (landed.sum(-1) / passing.sum(-1)).detach()
+    return (landed.sum(-1) / passing.sum(-1)).detach()
 
 
 def _exit_plane(focused: FocusedLens) -> float:
@@ -348,21 +423,22 @@ def _exit_plane(focused: FocusedLens) -> float:
 
 
 def _incoming(
-    focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float
+    focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float, depth: float | None = None
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Starting points [F, N, 3] on the entrance pupil's plane, directions and paths so far."""
+    """Starting points [F, N, 3] on the plane of the rim, directions and paths so far; `depth` is that of the plane."""
     cosines = torch.sqrt(1 - sines**2)
     axis = torch.stack([torch.zeros_like(sines), sines, cosines], -1)[:, None, :]
-    across = torch.cat([e, torch.zeros_like(e[..., :1])], -1)
+    farther = (pupil_depth(focused) if depth is None else depth) / cosines
+    across = torch.cat([e, torch.zeros_like(e[..., :1])], -1) + farther[:, None, None] * axis
     start = across + torch.tensor([0.0, 0.0, focused.entrance_pupil], dtype=torch.float64)
     along = (across * axis).sum(-1)
     if curvature == 0:
-        return start, axis.expand_as(start), along
+        return start, axis.expand_as(start), along - farther[:, None]
     way = across * curvature + axis
     far = length(way)[..., None]
     # |e - source| - D, without cancellation.
     before = (2 * along + curvature * (across**2).sum(-1)) / (far[..., 0] + 1)
-    return start, way / far, before
+    return start, way / far, before - farther[:, None]
 
 
 def _pupil_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tuple[torch.Tensor, torch.Tensor]:

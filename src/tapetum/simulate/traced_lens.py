@@ -20,7 +20,7 @@ from tapetum.simulate.radiometry import beam_radius, illumination_curvature
 from tapetum.simulate.reflections import glinting
 from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.traced_again import group_again
-from tapetum.simulate.traced_bundle import trace_bundle
+from tapetum.simulate.traced_bundle import pupil_depth, trace_bundle
 from tapetum.simulate.traced_light import Way, any_angle, return_angle
 from tapetum.simulate.traced_plan import TracedGroup, TracedMask, traced_group, traced_mask
 
@@ -170,7 +170,9 @@ class TracedLens:
         aperture = None
         if distance is not None:
             window = math.hypot(output.width, output.height) / 2 / probe.focal_length
-            aperture = ProbeAperture.behind_traced(distance, probe.aperture_radius, wavelength, window)
+            # The distance counts from the entrance pupil, the light from where its rim is sharp.
+            away = distance + pupil_depth(self._at(wavelength)[0])
+            aperture = ProbeAperture.behind_traced(away, probe.aperture_radius, wavelength, window)
         return {
             "wavelength": wavelength,
             "probe_focal_length": probe.focal_length,

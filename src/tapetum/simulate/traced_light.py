@@ -17,9 +17,8 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
-from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, reach_of_rays, with_rim
+from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, reach_of_rays
 from tapetum.simulate.surfaces import Surface
-from tapetum.simulate.traced_bundle import rim_curvature
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
 __all__ = [
@@ -205,9 +204,6 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
     """
     focused, fits, wavelength, accepted = scene.focused, scene.fits, scene.wavelength, scene.accepted
     blurred = is_blurred(fits, wavelength)
-    if not blurred:
-        # Out of focus the light follows its rays; in focus the pupil's rim decides.
-        fits = with_rim(fits, rim_curvature(focused))
     sines = torch.linspace(0, 0.95 * fits.nodes.steepest, 6, dtype=torch.float64)
     told = check_return(focused, fits, sines, curvature=scene.curvature)
     departure = float(torch.nan_to_num(told.opd).max())

@@ -34,6 +34,7 @@ from tapetum.simulate.traced_bundle import (
     length,
     limiting_surfaces,
     mirrored,
+    pupil_depth,
     right_half,
     trace_bundle,
 )
@@ -122,6 +123,7 @@ def trace_return(
     *,
     curvature: float = 0.0,
     middle: torch.Tensor | None = None,
+    bend: torch.Tensor | None = None,
     count: int = 37,
 ) -> Returned:
     """Trace bundles in, off the sensor taken as a mirror, and out again.
@@ -134,12 +136,12 @@ def trace_return(
         [F] sines of the tilt along y.
     curvature
         Of the light that enters, in 1/m.
-    middle
+    middle, bend
         As for `trace_bundle`.
     count
         Rays a side.
     """
-    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, count=count, sloped=False)
+    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, bend=bend, count=count, sloped=False)
     return _sent_back(focused, bundle, sines)
 
 
@@ -148,11 +150,14 @@ def _sent_back(focused: FocusedLens, bundle: Bundle, sines: torch.Tensor) -> Ret
     at, way = to_plane(rays.position, rays.direction, focused.image)
     reflected = rays.direction * rays.direction.new_tensor([1.0, 1.0, -1.0])
     back = mirrored(trace_out(focused.lens, right_half(at), right_half(reflected)), math.isqrt(at.shape[1]))
-    out, more = to_plane(back.position, back.direction, focused.entrance_pupil)
-    path = bundle.before + rays.path + way + back.path + more + sines[:, None] * out[..., 1]
+    depth = pupil_depth(focused)
+    out, more = to_plane(back.position, back.direction, focused.entrance_pupil + depth)
+    # From where the axis of the light meets the plane.
+    e = out[..., :2] - torch.stack([torch.zeros_like(sines), depth * sines / torch.sqrt(1 - sines**2)], -1)[:, None]
+    path = bundle.before + rays.path + way + back.path + more + sines[:, None] * e[..., 1]
     turned = back.direction[..., :2] + torch.stack([torch.zeros_like(sines), sines], -1)[:, None, :]
     height = torch.cat([rays.height, back.height], -1)
-    return Returned(bundle, at[..., :2], out[..., :2], path, turned, height, bundle.good & back.good)
+    return Returned(bundle, at[..., :2], e, path, turned, height, bundle.good & back.good)
 
 
 def check_return(
@@ -167,7 +172,7 @@ def check_return(
     `sines` [F] and `curvature` as for `trace_return`.
     """
     tilt = fits.nodes.terms(sines)
-    back = trace_return(focused, sines, curvature=curvature, middle=tilt @ fits.middle)
+    back = trace_return(focused, sines, curvature=curvature, middle=tilt @ fits.middle, bend=tilt @ fits.bend)
     passing = back.passing
     departure = _spread(back.path - _model_path(fits, tilt, back), passing)
     return TracedReturn(departure, passing.sum(-1) / back.bundle.passing.sum(-1), back.angle)
@@ -214,9 +219,9 @@ def corrected(
     if nodes is None:
         nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, accepted))
     tilt = fits.nodes.terms(nodes.sines)
-    middle = tilt @ fits.middle
+    middle, bend = tilt @ fits.middle, tilt @ fits.bend
     box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, accepted)
-    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, box=box, sloped=False)
+    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, bend=bend, box=box, sloped=False)
     back = _sent_back(focused, bundle, nodes.sines)
     # For a part of the pupil fit all rays near it, stopped or not: its limit may lie inside the rims.
     passing, near = back.passing, back.good & (back.height <= BEYOND**2).all(-1)
@@ -230,7 +235,7 @@ def corrected(
     rays = _Rays(passing, near)
     part = None
     if accepted is None:
-        leaving, misfit = _whole_pupil(focused, nodes, middle, back, rays, more)
+        leaving, misfit = _whole_pupil(focused, nodes, back, rays, more)
         aperture = fits.aperture[1]
     else:
         leaving, misfit = _part(fits, nodes, back, rays, more)
@@ -243,13 +248,14 @@ def corrected(
 
 
 def _whole_pupil(
-    focused: FocusedLens, nodes: TiltNodes, middle: torch.Tensor, back: Returned, rays: _Rays, more: torch.Tensor
+    focused: FocusedLens, nodes: TiltNodes, back: Returned, rays: _Rays, more: torch.Tensor
 ) -> tuple[Fit, float]:
     """Fit the pupil that light leaves by, with the excess `more` of real rays' paths [T, N] and heights.
 
     Waves reach beyond the rays: where no ray returns, the nearest ones replace it.
     """
-    leaving, tilt = trace_bundle(focused, nodes.sines, middle=middle), nodes.terms(nodes.sines)
+    middle, bend, tilt = back.bundle.middle, back.bundle.bend, nodes.terms(nodes.sines)
+    leaving = trace_bundle(focused, nodes.sines, middle=middle, bend=bend)
     usual, _ = fit_leaving(nodes, leaving)
     rims = [back.bundle.height.shape[-1] + i for i in limiting_surfaces(leaving)]
     higher = back.height[..., rims].mT - values_at(usual, tilt, back.e)[0][:, 3:]
@@ -296,9 +302,9 @@ def _between(
     between = [high[:steep] - third, low[:steep] + third, ((low + high) / 2)[steep:]]
     sines = torch.cat([*between, high.new_tensor([nodes.steepest])])
     tilt = fits.nodes.terms(sines)
-    middle = tilt @ fits.middle
+    middle, bend = tilt @ fits.middle, tilt @ fits.bend
     box = None if accepted is None else _accepted_box(focused, sines, curvature, accepted)
-    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box, sloped=False)
+    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, bend=bend, box=box, sloped=False)
     back = _sent_back(focused, bundle, sines)
     passing = back.passing
     if accepted is not None:
@@ -342,8 +348,7 @@ def _accepted_box(
 
 def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Tensor:
     """Path [F, N] of rays in the double pass of waves: it is stationary, so small departures do not count."""
-    middle = tilt @ fits.middle
-    v = back.mirror - torch.stack([torch.zeros_like(middle), middle], -1)[:, None, :]
+    v = back.bundle.beside
     bend = ((tilt @ fits.bend)[:, None] * v**2).sum(-1)
     even, odd = values_at(fits.leaving, tilt, back.e)
     s_in, s_out = back.bundle.s, torch.stack([odd[:, 0], even[:, 1]], -1)
