@@ -213,6 +213,7 @@ def test_a_correction_keeps_the_waves_beyond_the_rays(monkeypatch: pytest.Monkey
         "sampling": {"accuracy": 0.01, "propagation": "far field"},
     }
     scene = with_values(load_scene("thin-lens"), changes)
+    monkeypatch.setattr("tapetum.simulate.traced_light._CORRECTED_FAR", 0.2)
     ours = retroreflect(scene).irradiance
     monkeypatch.setattr("tapetum.simulate.traced_light.corrected", lambda *given, **named: None)
     usual = retroreflect(scene).irradiance

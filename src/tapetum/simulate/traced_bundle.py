@@ -202,7 +202,7 @@ def trace_bundle(
         good = good & ways.together & torch.isfinite(slopes).flatten(2).all(-1)
     middle = _middle(landing, ways.rays) if middle is None else middle
     radius = torch.hypot(middle, torch.full_like(middle, focused.image - _exit_plane(focused)))
-    bend = rim_bend(focused, middle / radius) if bend is None else bend
+    bend = torch.full((len(sines), 2), rim_bend(focused), dtype=torch.float64) if bend is None else bend
     rays = replace(ways.rays, good=good)
     return Bundle(ways.e, direction, landing, path, slopes, middle, radius, bend, ways.before, rays)
 
@@ -321,28 +321,19 @@ def spot_middles(focused: FocusedLens, sines: torch.Tensor, *, count: int) -> to
     return trace_bundle(focused, sines, count=count, sloped=False).middle
 
 
-def rim_bend(focused: FocusedLens, chief: torch.Tensor) -> torch.Tensor:
-    """C of the light that returns from the pupil's rim, [F, 2] across and along the tilt, in 1/m, for chief rays of
-    sines [F].
+def rim_bend(focused: FocusedLens) -> float:
+    """C of the light that the pupil's rim sends on under other directions than its rays', along s, in 1/m.
 
     Only light far from the spot feels C, and it comes from the rim: to v from where the rim lies across v, so that s is
-    along v. A mirror takes s to -s, so the rim's light returns where both lie in the pupil. Between the pupil's middle,
-    where C is 1/z, and the rim it is taken as linear in s².
-
-    Light from a place of the rim seems to come from where the rays through it cross behind the lens, at the distance L
-    before the sensor along the axis: C is cos³θ/L. The stop's paraxial image has the L of light near the axis alone.
+    along v. Light from a place of the rim seems to come from where the rays through it cross behind the lens, at the
+    distance L before the sensor along the axis: C is cos³θ/L. The stop's paraxial image has the L of light near the
+    axis alone. With the C of the head-on rim real rays keep to the model's paths under a tilt, too.
     """
     rim = _rim(_anywhere(focused))
-    inner = 1 / (focused.image - _exit_plane(focused))
+    middle = 1 / (focused.image - _exit_plane(focused))
     # Parallel rays cross nowhere.
-    found = (
-        inner if not math.isfinite(rim.crossing) else 1 / ((focused.image - rim.crossing) * (1 + rim.slope**2) ** 1.5)
-    )
-    found = min(max(found, _RIM_CURVATURES[0] * inner), _RIM_CURVATURES[1] * inner)
-    apart = (chief / math.sin(math.atan(rim.slope))).abs().clamp(max=1)
-    # Squared half widths of what the pupil and its mirror image share, over the pupil's own.
-    shared = torch.stack([1 - apart**2, (1 - apart) ** 2], -1)
-    return inner + (found - inner) * shared
+    found = 1 / ((focused.image - rim.crossing) * (1 + rim.slope**2) ** 1.5) if math.isfinite(rim.crossing) else middle
+    return min(max(found, _RIM_CURVATURES[0] * middle), _RIM_CURVATURES[1] * middle)
 
 
 def pupil_depth(focused: FocusedLens) -> float:
