@@ -136,11 +136,11 @@ class PupilFits:
 
     `entering` holds functions of s: Ψ, |∂e/∂s|, and the height at each surface that stops rays; `leaving` functions of
     e: Ψ, s along the tilt, |∂s/∂e|, heights, and the odd s across. `middle` and `radius` [T] are coefficients of y0 and
-    R, `bend` [T, 2] those of C across and along the tilt. `spread` is the largest distance of a ray's landing from y0.
-    Landings about y0 are linear in s, with slope `defocus` about the middle of s, and depart from it by at most
-    `aberration`. `misfit` is the worst RMS of Ψ against the rays that pass; `aperture` the pupil's largest half width
-    in s and reach in e. `corrected_from`: where the light that leaves has the paths of rays that a mirror returns, the
-    tilts that were fitted before; else None. `part`: where `leaving` covers but a part of the pupil.
+    R, `bend` is C in 1/m. `spread` is the largest distance of a ray's landing from y0. Landings about y0 are linear in
+    s, with slope `defocus` about the middle of s, and depart from it by at most `aberration`. `misfit` is the worst RMS
+    of Ψ against the rays that pass; `aperture` the pupil's largest half width in s and reach in e. `corrected_from`:
+    where the light that leaves has the paths of rays that a mirror returns, the tilts that were fitted before; else
+    None. `part`: where `leaving` covers but a part of the pupil.
     """
 
     nodes: TiltNodes
@@ -148,7 +148,7 @@ class PupilFits:
     leaving: Fit
     middle: torch.Tensor
     radius: torch.Tensor
-    bend: torch.Tensor
+    bend: float
     spread: float
     defocus: float
     aberration: float
@@ -163,9 +163,8 @@ class PupilFits:
         if middle is self.middle:
             return self
         entering, leaving, radius = self.entering.to(device), self.leaving.to(device), self.radius.to(device)
-        bend = self.bend.to(device)
         part = self.part and replace(self.part, centre=self.part.centre.to(device))
-        return replace(self, entering=entering, leaving=leaving, middle=middle, radius=radius, bend=bend, part=part)
+        return replace(self, entering=entering, leaving=leaving, middle=middle, radius=radius, part=part)
 
 
 def fit_pupils(
@@ -178,9 +177,7 @@ def fit_pupils(
     """
     nodes = nodes or TiltNodes.up_to(steepest)
     entering = trace_bundle(focused, nodes.sines, curvature=curvature)
-    leaving = entering
-    if curvature != 0:
-        leaving = trace_bundle(focused, nodes.sines, middle=entering.middle, bend=entering.bend)
+    leaving = entering if curvature == 0 else trace_bundle(focused, nodes.sines, middle=entering.middle)
     into, in_misfit = fit_functions(
         nodes,
         entering.s,
@@ -200,7 +197,7 @@ def fit_pupils(
         out,
         nodes.coefficients(entering.middle),
         nodes.coefficients(entering.radius),
-        nodes.coefficients(entering.bend),
+        entering.bend,
         spread,
         defocus,
         aberration,
@@ -222,8 +219,7 @@ def narrowed(fits: PupilFits, focused: FocusedLens, nodes: TiltNodes, curvature:
     that enters alone.
     """
     tilt = fits.nodes.terms(nodes.sines)
-    middle, bend = tilt @ fits.middle, tilt @ fits.bend
-    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, bend=bend, sloped=False)
+    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=tilt @ fits.middle, sloped=False)
     misfit = values_at(fits.entering, tilt, bundle.s)[0][:, 0] - bundle.psi
     u = (bundle.s - (tilt @ fits.entering.centre)[:, None]) / (tilt @ fits.entering.half)[:, None]
     inside = bundle.passing & (u.abs() <= 1).all(-1)
@@ -235,9 +231,9 @@ def narrowed(fits: PupilFits, focused: FocusedLens, nodes: TiltNodes, curvature:
         nodes,
         entering,
         leaving,
-        nodes.coefficients(middle),
+        nodes.coefficients(tilt @ fits.middle),
         nodes.coefficients(tilt @ fits.radius),
-        nodes.coefficients(bend),
+        fits.bend,
         spread,
         defocus,
         aberration,

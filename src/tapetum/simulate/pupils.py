@@ -98,8 +98,8 @@ class Gazes(Protocol):
         ...
 
     @property
-    def bend(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """C of both ways, in 1/m: its elements [B or 1] of columns, of rows, and of both where they mix."""
+    def bend(self) -> torch.Tensor:
+        """C of both ways, in 1/m, [1]."""
         ...
 
     def entering(self) -> Entering:

@@ -147,24 +147,21 @@ class SampledPass(Generic[Lens]):
 
     def _entered(self, at: Gazes, dtype: torch.dtype, halved: bool = False) -> torch.Tensor:
         """The spot's light [B or 1, n, n] times both ways' curvature and the window; `halved`: columns from 0 on."""
-        light, v, (xx, yy, xy) = at.entering(), self._v, at.bend
+        light, v, bend = at.entering(), self._v, at.bend[:, None]
         strength = light.strength.to(dtype if light.strength.is_complex() else dtype.to_real())
         wave = strength * phasor(self._k * light.path, dtype)
         # Light that is mirrored is so in the spot too, and other light has its waves in pairs there.
         half = v[len(v) // 2 :]
         on_columns, on_rows = (half if mirrored else v for mirrored in light.mirrored)
         spot = self._spread(light.rows, wave, half, light.mirrored[1])
-        spot = spot * phasor(self._k * on_rows**2 * yy[:, None], dtype)[..., None]
+        spot = spot * phasor(self._k * on_rows**2 * bend, dtype)[..., None]
         spot = self._spread(light.columns, spot.mT, half, light.mirrored[0]).mT
-        spot = spot * phasor(self._k * on_columns**2 * xx[:, None], dtype)[:, None, :]
+        spot = spot * phasor(self._k * on_columns**2 * bend, dtype)[:, None, :]
         if light.mirrored[1]:
             spot = _unfolded(spot, -2, len(v))
         if light.mirrored[0] and not halved:
             spot = _unfolded(spot, -1, len(v))
-        spot = spot * self._window[:, -spot.shape[-1] :]
-        if self._own and xy is not None:
-            spot = spot * phasor(2 * self._k * xy[:, None, None] * v[:, None] * v, dtype)
-        return spot
+        return spot * self._window[:, -spot.shape[-1] :]
 
     def _spread(self, places: torch.Tensor, wave: torch.Tensor, half: torch.Tensor, mirrored: bool) -> torch.Tensor:
         """Waves [B, m, x] of places [B, m] at all v, [B, n, x]; those that are `mirrored` at `half`, from 0 on."""

@@ -99,7 +99,7 @@ class _ThinGazes:
         self.place = pupil.z * self._slopes
         self.turn = self._framed(self._slopes)
         self.middle = torch.zeros_like(self.turn)
-        self.bend = (1 / pupil.z).reshape(1), (1 / pupil.z).reshape(1), None
+        self.bend = (1 / pupil.z).reshape(1)
 
     def entering(self) -> Entering:
         """The light on its way in."""

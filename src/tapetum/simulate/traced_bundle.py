@@ -29,7 +29,7 @@ from tapetum.optics.focus import FocusedLens
 from tapetum.optics.rays import Rays, to_plane, trace
 
 __all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "mirrored", "right_half", "spot_middles"]
-__all__ += ["pupil_depth", "trace_bundle"]
+__all__ += ["pupil_depth", "rim_plane", "trace_bundle"]
 
 # Rays a side of the two bundles that find the pupil.
 _COARSEST, _COARSE = 29, 49
@@ -86,7 +86,7 @@ class Bundle:
     radius
         [F] distance R of y0 from the exit pupil's middle.
     bend
-        [F, 2] C across and along the tilt, in 1/m.
+        C in 1/m, `rim_bend` of the lens.
     before
         [F, N] path of the wave before e.
     rays
@@ -100,7 +100,7 @@ class Bundle:
     slopes: torch.Tensor
     middle: torch.Tensor
     radius: torch.Tensor
-    bend: torch.Tensor
+    bend: float
     before: torch.Tensor
     rays: Rays
 
@@ -113,18 +113,18 @@ class Bundle:
     @property
     def s(self) -> torch.Tensor:
         """[F, N, 2], see the module."""
-        return self.direction - self.bend[:, None] * self.beside
+        return self.direction - self.bend * self.beside
 
     @property
     def psi(self) -> torch.Tensor:
         """[F, N], see the module."""
         w = self.beside
-        return self.path - ((self.direction - self.bend[:, None] * w / 2) * w).sum(-1)
+        return self.path - ((self.direction - self.bend / 2 * w) * w).sum(-1)
 
     @property
     def jacobian(self) -> torch.Tensor:
         """[F, N] |∂s/∂e|, in 1/m²."""
-        by_e = self.slopes[..., 0, :, :] - self.bend[:, None, :, None] * self.slopes[..., 1, :, :]
+        by_e = self.slopes[..., 0, :, :] - self.bend * self.slopes[..., 1, :, :]
         return (by_e[..., 0, 0] * by_e[..., 1, 1] - by_e[..., 0, 1] * by_e[..., 1, 0]).abs()
 
     @property
@@ -154,7 +154,6 @@ def trace_bundle(
     *,
     curvature: float = 0.0,
     middle: torch.Tensor | None = None,
-    bend: torch.Tensor | None = None,
     count: int = 37,
     box: tuple[torch.Tensor, torch.Tensor] | None = None,
     sloped: bool = True,
@@ -171,8 +170,6 @@ def trace_bundle(
         Of the wave at the entrance pupil, in 1/m.
     middle
         [F] y of the points that phases are referred to; default: the spots' own.
-    bend
-        [F, 2] C across and along the tilt, in 1/m; default: of `rim_bend`.
     count
         Rays a side of each bundle.
     box
@@ -202,9 +199,8 @@ def trace_bundle(
         good = good & ways.together & torch.isfinite(slopes).flatten(2).all(-1)
     middle = _middle(landing, ways.rays) if middle is None else middle
     radius = torch.hypot(middle, torch.full_like(middle, focused.image - _exit_plane(focused)))
-    bend = torch.full((len(sines), 2), rim_bend(focused), dtype=torch.float64) if bend is None else bend
     rays = replace(ways.rays, good=good)
-    return Bundle(ways.e, direction, landing, path, slopes, middle, radius, bend, ways.before, rays)
+    return Bundle(ways.e, direction, landing, path, slopes, middle, radius, rim_bend(focused), ways.before, rays)
 
 
 @dataclass(frozen=True)
@@ -358,7 +354,6 @@ class _Rim:
 @functools.lru_cache(maxsize=32)
 def _rim(lens: FocusedLens) -> _Rim:
     sines = torch.tensor([0.0, -_LITTLE_TILT, _LITTLE_TILT], dtype=torch.float64)
-    # A grid along y alone.
     line = torch.linspace(0, 2.2 * lens.entrance_radius, _RIM_RAYS, dtype=torch.float64)
 
     def sent(y: torch.Tensor, tilts: torch.Tensor) -> Rays:
@@ -413,23 +408,34 @@ def _exit_plane(focused: FocusedLens) -> float:
     return focused.image - away
 
 
+def rim_plane(focused: FocusedLens, sines: torch.Tensor, depth: float | None = None) -> torch.Tensor:
+    """Where the axis of light under tilts of sines [F] meets the plane that e is counted in, [F, 3].
+
+    `depth` is that of the plane behind the entrance pupil; default: `pupil_depth`.
+    """
+    depth = pupil_depth(focused) if depth is None else depth
+    aside = depth * sines / torch.sqrt(1 - sines**2)
+    return torch.stack([torch.zeros_like(sines), aside, torch.full_like(sines, focused.entrance_pupil + depth)], -1)
+
+
 def _incoming(
     focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float, depth: float | None = None
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Starting points [F, N, 3] on the plane of the rim, directions and paths so far; `depth` is that of the plane."""
-    cosines = torch.sqrt(1 - sines**2)
-    axis = torch.stack([torch.zeros_like(sines), sines, cosines], -1)[:, None, :]
-    farther = (pupil_depth(focused) if depth is None else depth) / cosines
-    across = torch.cat([e, torch.zeros_like(e[..., :1])], -1) + farther[:, None, None] * axis
-    start = across + torch.tensor([0.0, 0.0, focused.entrance_pupil], dtype=torch.float64)
-    along = (across * axis).sum(-1)
+    """Starting points [F, N, 3], directions and paths so far beyond that of the axis; `depth` as for `rim_plane`."""
+    axis = torch.stack([torch.zeros_like(sines), sines, torch.sqrt(1 - sines**2)], -1)[:, None, :]
+    across = torch.cat([e, torch.zeros_like(e[..., :1])], -1)
+    middle = rim_plane(focused, sines, depth)[:, None]
+    start, along = across + middle, (across * axis).sum(-1)
     if curvature == 0:
-        return start, axis.expand_as(start), along - farther[:, None]
+        return start, axis.expand_as(start), along
+    # From the middle of the entrance pupil, that far along the axis; the source lies 1/curvature before it.
+    farther = ((middle - middle.new_tensor([0.0, 0.0, focused.entrance_pupil])) * axis).sum(-1)
+    across = across + farther[..., None] * axis
     way = across * curvature + axis
     far = length(way)[..., None]
     # |e - source| - D, without cancellation.
-    before = (2 * along + curvature * (across**2).sum(-1)) / (far[..., 0] + 1)
-    return start, way / far, before - farther[:, None]
+    before = (2 * (along + farther) + curvature * (across**2).sum(-1)) / (far[..., 0] + 1)
+    return start, way / far, before - farther
 
 
 def _pupil_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tuple[torch.Tensor, torch.Tensor]:

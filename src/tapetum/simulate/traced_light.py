@@ -41,10 +41,8 @@ _FADING = 0.3
 _LARGEST_MISFIT = 0.02
 # Pixels a picture's finest detail on which samplings are compared, and least pitch over the probe's that they are for.
 _COMPARED, _FEWER = 3.0, 1.3
-# Share of the accuracy that the phase of the rays' paths, RMS, may take before rays correct them, through the probe's
-# aperture and in the far field; and what a picture there may err by over the phase that they correct: the middle shows
-# what the rim diffracts, on the paths of the model (measured: tests/references/radial.py).
-_CORRECTED_FROM, _CORRECTED_FAR, _OF_CORRECTED = 0.2, 1.0, 0.8
+# Share of the accuracy that the phase of the rays' paths, RMS, may take before rays correct them.
+_CORRECTED_FROM = 0.2
 # RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
 _LARGEST_DEPARTURE = 0.05
 
@@ -223,8 +221,10 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
             # No ray leaves under an angle that is faded out: follow the whole pupil, and waves beyond its rays.
             accepted = None
     pupils, by_rays = fits, False
-    least = (_CORRECTED_FAR if scene.path.aperture is None else _CORRECTED_FROM) * accuracy
-    far_out = blurred and (unsure > least or (accepted is not None and angle > 4 * accepted))
+    # In the far field the picture's middle is what the rim diffracts along the axis, on the paths of the model, and the
+    # rays' paths would spoil it.
+    near = scene.path.aperture is not None
+    far_out = near and blurred and (unsure > _CORRECTED_FROM * accuracy or (accepted and angle > 4 * accepted))
     allowed = min(accuracy, 2 * math.pi * _LARGEST_DEPARTURE)
     if correct and far_out:
         found = corrected(focused, fits, curvature=scene.curvature, accepted=accepted)
@@ -238,8 +238,6 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
         # Crossing rays have several paths at a place, which the fit misses.
         if found is not None and found.misfit < departure:
             pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
-            if scene.path.aperture is None:
-                unsure += _OF_CORRECTED * 2 * math.pi * departure / wavelength
     if not by_rays:
         accepted = None
     coarser = f"ask for an accuracy of {_rounded_up(unsure):g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""

@@ -79,11 +79,9 @@ class TracedPupil:
         self.samples = samples[0] + samples[0] % 2, samples[1], samples[2]
         self.k, self.tilt, self.phase, self.dtype = 2 * math.pi / wavelength, tilt, phase, dtype
         self.real = dtype.to_real()
-        # Only head on does a rim's light return to that rim.
-        head_on = fits.nodes.terms(torch.zeros(1, dtype=torch.float64)).to(path.device)
         self.reach = fits.aperture[0]
-        # Nor does it where but a part of the pupil is read.
-        self.rim = None if fits.part is not None else self.k * float((head_on @ fits.bend)[0, 1])
+        # A rim's light does not return to that rim where but a part of the pupil is read.
+        self.rim = None if fits.part is not None else self.k * fits.bend
 
     def returns(self, sines: torch.Tensor) -> torch.Tensor:
         """Whether anything returns from tilts [B, 2]: beyond the last node the polynomials are invalid."""
@@ -132,11 +130,9 @@ class _TracedGazes:
         self._x, self._y = (self.axes @ self._toward[..., None])[..., 0].unbind(-1)
         self.turn = torch.sqrt(1 - chief**2)[:, None] * (self.axes @ plane)
         self.middle = torch.stack([chief * self._x, chief * self._y], -1)
-        across, along = (self._tilt @ fits.bend).unbind(-1)
-        x, y = self._x, self._y
-        self.bend = across * y**2 + along * x**2, across * x**2 + along * y**2, (along - across) * x * y
+        self.bend = middle.new_tensor([fits.bend])
         # C turns light at the samples' middle, on each way by this.
-        self._bent = (self.bend[1] * self._centre)[:, None]
+        self._bent = (fits.bend * self._centre)[:, None]
 
     def entering(self) -> Entering:
         """The light on its way in."""

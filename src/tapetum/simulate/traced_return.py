@@ -34,8 +34,8 @@ from tapetum.simulate.traced_bundle import (
     length,
     limiting_surfaces,
     mirrored,
-    pupil_depth,
     right_half,
+    rim_plane,
     trace_bundle,
 )
 
@@ -123,7 +123,6 @@ def trace_return(
     *,
     curvature: float = 0.0,
     middle: torch.Tensor | None = None,
-    bend: torch.Tensor | None = None,
     count: int = 37,
 ) -> Returned:
     """Trace bundles in, off the sensor taken as a mirror, and out again.
@@ -136,12 +135,12 @@ def trace_return(
         [F] sines of the tilt along y.
     curvature
         Of the light that enters, in 1/m.
-    middle, bend
+    middle
         As for `trace_bundle`.
     count
         Rays a side.
     """
-    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, bend=bend, count=count, sloped=False)
+    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, count=count, sloped=False)
     return _sent_back(focused, bundle, sines)
 
 
@@ -150,10 +149,9 @@ def _sent_back(focused: FocusedLens, bundle: Bundle, sines: torch.Tensor) -> Ret
     at, way = to_plane(rays.position, rays.direction, focused.image)
     reflected = rays.direction * rays.direction.new_tensor([1.0, 1.0, -1.0])
     back = mirrored(trace_out(focused.lens, right_half(at), right_half(reflected)), math.isqrt(at.shape[1]))
-    depth = pupil_depth(focused)
-    out, more = to_plane(back.position, back.direction, focused.entrance_pupil + depth)
-    # From where the axis of the light meets the plane.
-    e = out[..., :2] - torch.stack([torch.zeros_like(sines), depth * sines / torch.sqrt(1 - sines**2)], -1)[:, None]
+    middle = rim_plane(focused, sines)[:, None]
+    out, more = to_plane(back.position, back.direction, middle[..., 2])
+    e = out[..., :2] - middle[..., :2]
     path = bundle.before + rays.path + way + back.path + more + sines[:, None] * e[..., 1]
     turned = back.direction[..., :2] + torch.stack([torch.zeros_like(sines), sines], -1)[:, None, :]
     height = torch.cat([rays.height, back.height], -1)
@@ -172,7 +170,7 @@ def check_return(
     `sines` [F] and `curvature` as for `trace_return`.
     """
     tilt = fits.nodes.terms(sines)
-    back = trace_return(focused, sines, curvature=curvature, middle=tilt @ fits.middle, bend=tilt @ fits.bend)
+    back = trace_return(focused, sines, curvature=curvature, middle=tilt @ fits.middle)
     passing = back.passing
     departure = _spread(back.path - _model_path(fits, tilt, back), passing)
     return TracedReturn(departure, passing.sum(-1) / back.bundle.passing.sum(-1), back.angle)
@@ -219,9 +217,9 @@ def corrected(
     if nodes is None:
         nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, accepted))
     tilt = fits.nodes.terms(nodes.sines)
-    middle, bend = tilt @ fits.middle, tilt @ fits.bend
+    middle = tilt @ fits.middle
     box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, accepted)
-    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, bend=bend, box=box, sloped=False)
+    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, box=box, sloped=False)
     back = _sent_back(focused, bundle, nodes.sines)
     # For a part of the pupil fit all rays near it, stopped or not: its limit may lie inside the rims.
     passing, near = back.passing, back.good & (back.height <= BEYOND**2).all(-1)
@@ -254,8 +252,8 @@ def _whole_pupil(
 
     Waves reach beyond the rays: where no ray returns, the nearest ones replace it.
     """
-    middle, bend, tilt = back.bundle.middle, back.bundle.bend, nodes.terms(nodes.sines)
-    leaving = trace_bundle(focused, nodes.sines, middle=middle, bend=bend)
+    middle, tilt = back.bundle.middle, nodes.terms(nodes.sines)
+    leaving = trace_bundle(focused, nodes.sines, middle=middle)
     usual, _ = fit_leaving(nodes, leaving)
     rims = [back.bundle.height.shape[-1] + i for i in limiting_surfaces(leaving)]
     higher = back.height[..., rims].mT - values_at(usual, tilt, back.e)[0][:, 3:]
@@ -302,9 +300,9 @@ def _between(
     between = [high[:steep] - third, low[:steep] + third, ((low + high) / 2)[steep:]]
     sines = torch.cat([*between, high.new_tensor([nodes.steepest])])
     tilt = fits.nodes.terms(sines)
-    middle, bend = tilt @ fits.middle, tilt @ fits.bend
+    middle = tilt @ fits.middle
     box = None if accepted is None else _accepted_box(focused, sines, curvature, accepted)
-    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, bend=bend, box=box, sloped=False)
+    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box, sloped=False)
     back = _sent_back(focused, bundle, sines)
     passing = back.passing
     if accepted is not None:
@@ -349,7 +347,7 @@ def _accepted_box(
 def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Tensor:
     """Path [F, N] of rays in the double pass of waves: it is stationary, so small departures do not count."""
     v = back.bundle.beside
-    bend = ((tilt @ fits.bend)[:, None] * v**2).sum(-1)
+    bend = fits.bend * (v**2).sum(-1)
     even, odd = values_at(fits.leaving, tilt, back.e)
     s_in, s_out = back.bundle.s, torch.stack([odd[:, 0], even[:, 1]], -1)
     return back.bundle.psi + even[:, 0] + ((s_in + s_out) * v).sum(-1) + bend
