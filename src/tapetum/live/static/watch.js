@@ -1,6 +1,6 @@
 // The watch's view: the probe's picture, the cameras, where one looks, and the events.
 
-import { $, bright, colour, colourName, element, keep, name, number, percent, post, remove, say } from "/static/common.js";
+import { $, bright, colour, colourName, element, keep, name, number, percent, post, refused, remove, say } from "/static/common.js";
 import { now, on } from "/static/socket.js";
 
 const view = $("view"), pen = view.getContext("2d");
@@ -244,7 +244,7 @@ function happened(event) {
 
 async function ignore(id, by = "place") {
   const one = state.cameras.find((camera) => camera.id === id);
-  if (!one) return null;
+  if (!one) { refused(`${name(id)} is no longer here: choose one of the list`); return null; }
   const place = { x: Math.max(0, one.x), y: Math.max(0, one.y), radius: Math.max(40, 2 * one.diameter) };
   const done = await post("/api/ignored", { place, device: { device: one.device }, look: { camera: id } }[by]);
   await ours();
@@ -271,9 +271,11 @@ addEventListener("keydown", (event) => {
   const at = state.cameras.findIndex((one) => one.id === chosen), count = state.cameras.length;
   if ((event.key === "ArrowDown" || event.key === "ArrowUp") && count) {
     chosen = state.cameras[(at + (event.key === "ArrowDown" ? 1 : count - 1)) % count].id;
-    $("cameras").querySelector(`[data-id="${chosen}"] .name`)?.focus();
-    drawn = 0;
     event.preventDefault();
+    // A camera that was first seen just now has no card before the lists are drawn.
+    drawn = 0;
+    draw();
+    $("cameras").querySelector(`[data-id="${chosen}"] .name`)?.focus();
   } else if (event.key === "i" && chosen) {
     ignore(chosen);
   } else if (event.key === "p") {
