@@ -12,6 +12,7 @@ from scipy.special import j0, j1, roots_legendre
 
 from tapetum.optics.grid import lens_numbers
 from tapetum.optics.radial import disc_transform, returning_field, spot_field
+from tapetum.optics.sampling import DoublePassGeometry, Fade, plan_round
 
 WAVELENGTH = 640e-9
 K = 2 * math.pi / WAVELENGTH
@@ -77,6 +78,38 @@ def test_partial_derivatives_of_the_table(name: str, change: float, radius: floa
     ours = type(told)(told.partials[name], told.step, {}).smooth(places / told.step)
     # A filter of fixed slopes is not quite the same filter in another light.
     assert float((ours - numeric).abs().max() / numeric.abs().max()) < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("radius", "focal_length", "image_distance", "accuracy"),
+    [
+        (20e-6, 66e-6, 240e-6, 1e-3),
+        (2e-6, 94e-6, 94e-6, 1e-2),
+        (21e-6, 2.6e-3, 2.6e-3, 1e-3),
+        (0.16e-3, 5e-3, 6.6e-3, 1e-4),
+    ],
+)
+def test_tables_of_small_apertures(
+    radius: float, focal_length: float, image_distance: float, accuracy: float, validated: Any
+) -> None:
+    """Their plans keep rings to slopes that their light does not have."""
+    f, z = focal_length, image_distance
+    plan = plan_round(DoublePassGeometry(WAVELENGTH, radius, f, z, 0.05, 0.0), accuracy)
+    table = returning_field(WAVELENGTH, radius, z, -1 / f, 1.05 * radius, (plan.flat_slope, plan.end_slope))
+    places = torch.linspace(0, radius, 41, dtype=torch.float64)
+    light = hankel(radius, K / 2 * (1 / (2 * z) - 1 / f), K / (2 * z), places.numpy(), 400)
+    want = np.exp(-0.25j * K / z * places.numpy() ** 2) / (2j * WAVELENGTH * z) * light
+    error = np.abs(table.smooth(places / table.step).numpy() - want).max() / np.abs(want).max()
+    validated("Round fields", f"returning field, r = {radius * 1e6:g} µm, f = {f * 1e3:g} mm, z = {z * 1e3:g} mm",
+              error, 1e-6, "Hankel transform by quadrature")  # fmt: skip
+
+
+def test_a_table_of_next_to_no_aperture_takes_little_memory() -> None:
+    plan = plan_round(DoublePassGeometry(WAVELENGTH, 0.4e-6, 70e-6, 70e-6, 0.05, 0.0), 1e-4)
+    fade = Fade.of((plan.flat_slope, plan.end_slope), WAVELENGTH, 0.4e-6, 70e-6, 0.42e-6)
+    assert fade.end < 0.1 * plan.end_slope
+    table = returning_field(WAVELENGTH, 0.4e-6, 70e-6, -1 / 70e-6, 0.42e-6, (plan.flat_slope, plan.end_slope))
+    assert len(table.values) < 1 << 16
 
 
 def test_nearest_and_smooth_agree() -> None:

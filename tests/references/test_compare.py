@@ -24,7 +24,7 @@ QUICK = (0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 13, 17, 18, 19)
 # draws another one: this one has not been looked at.
 SEALED, SCENES = 20280217, 200
 # The kinds that took turns when the seeds before were drawn, without masks behind traced lenses.
-THEN, SINCE = KINDS[:24], (20261127, 20270214, 20270419, 20270521, 20270703, 20270819, 20270923, 990001)
+THEN, SINCE = KINDS[:24], (20261127, 20270214, 20270419, 20270521, 20270703, 20270819, 20270923, 20271227, 990001)
 
 
 @pytest.mark.parametrize("number", QUICK)
@@ -40,7 +40,7 @@ def test_the_engine_agrees_with_the_judge_or_refuses(number: int, tmp_path: Path
 # sampled plane far out of focus; a tilted lens's picture beside the middle, and a narrow beam of which the lens's edge
 # leaves a sliver; a tiny lens's edge waves along a tilted sensor; a traced lens's waves beyond its rays, a mirror's and
 # before layers; masks of random phases whose samples missed Airy's ring, one behind a traced lens compared with
-# hardly finer samples, and one whose samples' error and whose paths' add up.
+# hardly finer samples, and one whose samples' error and whose paths' add up; a tiny lens's table of returning light.
 @pytest.mark.parametrize(
     ("seed", "number"),
     [
@@ -55,6 +55,7 @@ def test_the_engine_agrees_with_the_judge_or_refuses(number: int, tmp_path: Path
         (20261127, 90),
         *(pytest.param(20261127, n, marks=pytest.mark.slow) for n in (174, 224)),
         (990001, 57),
+        pytest.param(20271227, 55, marks=pytest.mark.slow),
         *(pytest.param(20261201, n, marks=pytest.mark.slow) for n in (20, 70)),
     ],
 )

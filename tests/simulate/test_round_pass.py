@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.special import j0, roots_legendre
 
 from tapetum.bench import Scene, load_scene, with_values
 from tapetum.optics import grid_sampling
@@ -58,6 +59,27 @@ def without_phase(field: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
     """The field times the one phase that brings it nearest to another."""
     overlap = (field.conj() * like).sum()
     return field * (overlap / overlap.abs())
+
+
+@pytest.mark.parametrize("accuracy", [1e-2, 1e-3])
+def test_a_tiny_lens_head_on(accuracy: float, validated: Any) -> None:
+    """The plane's integral in closed form leaves two of the aperture, each of one radius."""
+    f, r, z = 66e-6, 19.5e-6, 240e-6
+    output = Grid(25, 25, 1.5e-3)
+    g = DoublePassGeometry(WAVELENGTH, r, f, z, 0.06, 18e-3 * math.sqrt(2))
+    found = RoundPass(g, plan_round(g, accuracy), output)(torch.zeros(1, 2, dtype=torch.float64))[0].double().numpy()
+    x, weights = roots_legendre(400)
+    x, weights = (x + 1) / 2 * r, weights / 2 * r
+    lens = np.exp(0.5j * K * x**2 * (1 / (2 * z) - 1 / f)) * weights * x
+    leaving = lens * (j0(K / (2 * z) * np.outer(x, x)) @ lens)
+    places = np.hypot(output.x().numpy(), output.y().numpy()[:, None]).ravel()
+    field = 2 * math.pi**2 / (WAVELENGTH**2 * z * g.probe_focal_length) * (
+        leaving @ j0(K / g.probe_focal_length * np.outer(x, places))
+    )  # fmt: skip
+    want = (np.abs(field) ** 2).reshape(found.shape)
+    error = np.abs(found - want).max() / want.max()
+    what = f"r = 20 µm, f = 66 µm, x_d = 90 µm, accuracy {accuracy:g}"
+    validated("Double pass", what, error, 0.1 * accuracy, "two Hankel transforms")
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ import torch
 from scipy.special import fresnel, j0, zeta
 
 from tapetum.optics.propagate import fast_length
+from tapetum.optics.sampling import Fade
 
 __all__ = ["FocusTables", "RadialTable", "disc_transform", "focus_tables", "returning_field", "spot_field"]
 
@@ -189,7 +190,7 @@ def disc_transform(
     transform by Gauss-Legendre quadrature agrees to 1e-7 (tests/optics/test_radial.py).
     """
     widest = max(reach, 2 * abs(chirp) * radius / kappa)
-    count = 1 << max(12, math.ceil(math.log2(_OVERSAMPLED * 4 * kappa * radius * widest / math.pi)))
+    count = 1 << max(10, math.ceil(math.log2(_OVERSAMPLED * 4 * kappa * radius * widest / math.pi)))
     step = 2 * radius / count
     x = np.arange(1, count) * step - radius
     slope = max(abs(chirp), 1e-12 / radius**2)
@@ -251,19 +252,15 @@ def returning_field(
         the lens is exp(ik|ξ|²/2z + ...) F(|ξ|), ξ = x - 2z s (docs/conventions.md, "The round pass").
     """
     k, z = 2 * math.pi / wavelength, image_distance
-    low, high = slopes
-    # The filter's own response must decay before the table's end.
-    margin = 30 * wavelength / (high - low)
+    fade = Fade.of(slopes, wavelength, radius, image_distance, reach)
     kappa, beta = k / (2 * z), vergence + 1 / (2 * z)
-    # Far out the removed curvature's phase changes faster than the field's own.
-    spacing = 0.6 * math.pi / (kappa * (reach + margin + radius))
     disc, step, *derivatives = disc_transform(
-        radius, k * beta / 2, kappa, reach + margin, spacing=spacing, moments=partials
+        radius, k * beta / 2, kappa, reach + fade.margin, spacing=fade.spacing, moments=partials
     )
     xi = np.arange(len(disc)) * step
     carrier = np.exp(-1j * k * xi**2 / (4 * z)) / (2j * wavelength * z)
-    finest = max(1, math.ceil(k * high * step / _TURN))
-    filtered = _Lowpass(step, low / wavelength, high / wavelength, len(disc), finest)
+    finest = max(1, math.ceil(k * fade.end * step / _TURN))
+    filtered = _Lowpass(step, fade.flat / wavelength, fade.end / wavelength, len(disc), finest)
     count = math.ceil(reach / step * finest) + 4
     tables = {"": carrier * disc}
     if partials:

@@ -26,6 +26,7 @@ __all__ = [
     "REFERENCE",
     "RIM",
     "DoublePassGeometry",
+    "Fade",
     "Plan",
     "RoundEffort",
     "RoundPlan",
@@ -219,6 +220,8 @@ _ROWS_A_COLUMN = 1.05
 # Share of the rings that passes whole, before the light is faded out.
 _FLAT = 0.5
 _LEAST_COLUMNS = 48
+# Slopes of diffraction by a small aperture that its table holds, in λ/r.
+_DIFFRACTED = 10.0
 # Fewer samples than these cannot hold the end corrections of both sides.
 _FEWEST_FORCED = 12
 # Share of returning light below which the error grows against the fading peak.
@@ -453,6 +456,33 @@ def check_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: 
     )
 
 
+@dataclass(frozen=True)
+class Fade:
+    """How a table of returning light is faded: from and up to which slopes against the light's own curvature, in
+    radians; how far it goes on beyond its reach, and its samples' largest distance before it is faded, in metres."""
+
+    flat: float
+    end: float
+    margin: float
+    spacing: float
+
+    @staticmethod
+    def of(slopes: tuple[float, float], wavelength: float, radius: float, image_distance: float, reach: float) -> Fade:
+        """Of the slopes that were planned, for a table out to `reach`; all lengths in metres.
+
+        By rays the light has no slope above (reach + r)/2z, and diffraction adds some λ/r. A small aperture's plan
+        keeps rings to many times that, where there is nothing to fade, only samples to take.
+        """
+        steepest = (reach + radius) / (2 * image_distance) + _DIFFRACTED * wavelength / radius
+        flat, end = min(slopes[0], 1.5 * steepest), min(slopes[1], 3 * steepest)
+        # The fade's own response must decay before the table's end.
+        margin = 30 * wavelength / (end - flat)
+        # Far out the removed curvature's phase changes faster than the field's own. Samples too far apart for the fade
+        # to take anything away would ring where the table's two halves meet.
+        spacing = min(0.6 * wavelength * image_distance / (reach + margin + radius), wavelength / (2 * end))
+        return Fade(flat, end, margin, spacing)
+
+
 def check_table(geometry: DoublePassGeometry, plan: RoundPlan, steepest: float) -> None:
     """Refuse a scene whose table of returning light (optics/radial.py) exceeds the memory allowed.
 
@@ -461,14 +491,15 @@ def check_table(geometry: DoublePassGeometry, plan: RoundPlan, steepest: float) 
     """
     g = geometry
     k, z = 2 * math.pi / g.wavelength, g.image_distance
-    margin = 30 * g.wavelength / (plan.end_slope - plan.flat_slope)
-    reach = 1.05 * g.radius + 2 * z * steepest + margin
+    reach = 1.05 * g.radius + 2 * z * steepest
+    fade = Fade.of((plan.flat_slope, plan.end_slope), g.wavelength, g.radius, z, reach)
+    reach += fade.margin
     beta = abs(g.curvature - 1 / g.focal_length + 1 / (2 * z))
     # Samples of the disc's projection and of its transform, as `disc_transform` computes them.
-    count = max(4096.0, 32 / math.pi * k / (2 * z) * g.radius * max(reach, 2 * z * beta * g.radius))
-    length = max(4 * count, 10 / 3 * (reach + g.radius) / (2 * g.radius) * count)
+    count = max(1024.0, 32 / math.pi * k / (2 * z) * g.radius * max(reach, 2 * z * beta * g.radius))
+    length = max(4 * count, g.wavelength * z / (g.radius * fade.spacing) * count)
     step = g.wavelength * z / length * count / g.radius
-    entries = 2 * reach / step * max(1.0, 82 * k * plan.end_slope * step)
+    entries = 2 * reach / step * max(1.0, 82 * k * fade.end * step)
     needed = _BYTES_AN_ENTRY * (length + entries)
     if needed > _MOST_BYTES:
         raise InputError(
