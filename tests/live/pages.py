@@ -21,7 +21,7 @@ from tapetum.record.hand import Aim
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), ""
 )
-WAIT = 30_000  # ms, at most
+WAIT = 60_000  # ms, at most: a busy machine shows a frame or two a second
 
 
 @contextlib.contextmanager

@@ -59,7 +59,7 @@ from tapetum.simulate.sensor_edge import EdgeRule, SensorEdge, SpotLight, Spots
 from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.surfaces import Mask, Surface
-from tapetum.simulate.thin_errors import of_narrow_beam, of_tilted_planes
+from tapetum.simulate.thin_errors import of_narrow_beam, of_the_way, of_tilted_planes
 from tapetum.simulate.traced_again import tilts_like
 from tapetum.simulate.traced_lens import TracedLens
 from tapetum.simulate.traced_plan import TracedGroup
@@ -580,8 +580,12 @@ class Camera:
             return 0.0
         geometries, sensor = [line.geometry for line in self._lines], self.scene.target.sensor
         tilt = max(math.hypot(*one.tilt) for one in (sensor, *sensor.layers))
-        narrow = of_narrow_beam(geometries, beam_radius(self.scene), self._steepest)
-        return narrow + of_tilted_planes(geometries, tilt, self._steepest)
+        missed = of_narrow_beam(geometries, beam_radius(self.scene), self._steepest)
+        missed += of_tilted_planes(geometries, tilt, self._steepest)
+        if self._finite:
+            probe_radius, away = self.scene.probe.lens.aperture_radius, float(self._distance.detach())
+            missed += of_the_way(geometries, away, probe_radius, self._steepest)
+        return missed
 
     def _spots(self, line: _Line, sines: torch.Tensor) -> Spots:
         """Places of the gazes' spots on the sensor, and the share of each that it holds."""

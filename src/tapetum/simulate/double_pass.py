@@ -92,7 +92,7 @@ class DoublePass(SampledPass[ThinPupil]):
         if followed:
             numbers = 2 * math.pi / geometry.wavelength, geometry.radius, geometry.curvature
             k, radius, curvature = (_scalar(value, device) for value in numbers)
-            paths = TruePaths(k, radius, f, curvature, way, probe_radius)
+            paths = TruePaths(k, radius, f, curvature, way)
         size = 16 if dtype == torch.complex128 else 8
         one = plan.bytes_needed(1, output.rows * output.columns, size, masked=mask is not None)
         super().__init__(

@@ -162,14 +162,12 @@ class RoundPass:
         if lit_radius is not None and lit_radius < geometry.radius:
             self._lit = self._scalar(lit_radius)
         self._distance = None if distance is None or probe_radius is None else float(self._scalar(distance).detach())
-        self._probe_radius = probe_radius
         self._paths = TruePaths(
             self._k,
             values["radius"] if self._lit is None else self._lit,
             values["focal_length"],
             values["curvature"],
             None if self._distance is None or distance is None else self._scalar(distance),
-            probe_radius,
         )
         self._given, self._aside_plan = surfaces, aside
         options: dict[str, Any] = {"probe_radius": probe_radius, "lit_radius": lit_radius, "interferes": interferes}
@@ -406,9 +404,7 @@ class RoundPass:
         """Whether a gaze with this square of its sines needs paths beyond the table."""
         if self._precise:
             return True
-        missed = neglected_path(
-            self.geometry, math.sqrt(size), distance=self._distance, probe_radius=self._probe_radius or 0.0
-        )
+        missed = neglected_path(self.geometry, math.sqrt(size), distance=self._distance)
         return self._wavenumber * missed > _SHARE_MISSED * min(self.plan.expected_error, 1e-2)
 
     def _followed(self, one: _Prepared, gazes: Tilts, tau: torch.Tensor, z: torch.Tensor) -> _Part:

@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 
 from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.simulate.probe_path import missed_by_chirps
 from tapetum.simulate.true_paths import neglected_path
 
-__all__ = ["of_narrow_beam", "of_tilted_planes"]
+__all__ = ["of_narrow_beam", "of_the_way", "of_tilted_planes"]
 
 # Share of a tilted plane's path changes that rays, which end at the pupil's edge, miss: up to 0.175 against exact sums
 # in 125 scenes drawn at random, most of all for lenses of a fraction of a millimetre; 0.093 for usual ones.
@@ -43,3 +44,15 @@ def of_tilted_planes(geometries: Sequence[DoublePassGeometry], tilt: float, sine
     """
     paths = ((neglected_path(one, sine, tilt=tilt) - neglected_path(one, sine)) / one.wavelength for one in geometries)
     return _EDGE_WAVES * 2 * math.pi * max(paths)
+
+
+def of_the_way(geometries: Sequence[DoublePassGeometry], distance: float, probe_radius: float, sine: float) -> float:
+    """Error, over the peak, of light carried to the probe's aperture by Fresnel's chirps, at gazes up to `sine`.
+
+    Near the cut-off it grows as the peak fades.
+    """
+    lengths = distance, probe_radius
+    return max(
+        g.fading * missed_by_chirps(*lengths, reach=g.radius, angle=g.exit_angle, sine=sine, wavelength=g.wavelength)
+        for g in geometries
+    )

@@ -16,7 +16,7 @@ import torch
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
-from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
+from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_by_chirps
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, reach_of_rays
 from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
@@ -249,19 +249,17 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
         )
     steepest = fits.nodes.steepest
     if scene.path.aperture is not None:
-        missed = (
-            2
-            * math.pi
-            / wavelength
-            * missed_path(scene.path.aperture, reach_of_rays(fits), angle, steepest, wavelength)
+        aperture, reach = scene.path.aperture, reach_of_rays(fits)
+        missed = missed_by_chirps(
+            float(aperture.distance), aperture.radius, reach=reach, angle=angle, sine=steepest, wavelength=wavelength
         )
         if missed > accuracy:
             raise InputError(
-                f"the probe is so near that the way to its aperture is known to {missed / 2 / math.pi:.2g} waves only",
+                f"the probe is so near that the way to its aperture is known to {missed:.2g} of the peak only",
                 where="distance",
                 remedy=f"ask for an accuracy of {_rounded_up(missed):g}, move the probe away, or narrow its aperture",
             )
-        unsure = max(unsure, missed)
+        unsure += missed
     # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for
     # tilts that return enough.
     lit = float(sines[told.overlap >= _FADING * told.overlap.max()].max())

@@ -3,9 +3,9 @@
 A table by one radius includes the parabola ρ²/2R of the incoming light, and the transform over the distance that of the
 light that leaves. It leaves out that the tilted lens is foreshortened, that waves are spheres, and that a tilted
 sensor's distance changes along it. Each of these is a small path that varies slowly over the pupil, so it is taken
-along the ray: from x0, where it enters, over u on the sensor to x, where it leaves, and on to X in the probe's
-aperture. The largest one, the foreshortened parabola of the incoming light, also moves the ray: the table is read where
-the ray would be without it (docs/conventions.md, "What a table does not hold").
+along the ray: from x0, where it enters, over u on the sensor to x, where it leaves. The largest one, the foreshortened
+parabola of the incoming light, also moves the ray: the table is read where the ray would be without it
+(docs/conventions.md, "What a table does not hold").
 """
 
 from __future__ import annotations
@@ -44,20 +44,12 @@ class Leg:
     tilt: torch.Tensor | None = None
 
 
-def neglected_path(
-    g: DoublePassGeometry,
-    sine: float,
-    *,
-    distance: float | None = None,
-    probe_radius: float = 0.0,
-    tilt: float = 0.0,
-) -> float:
+def neglected_path(g: DoublePassGeometry, sine: float, *, distance: float | None = None, tilt: float = 0.0) -> float:
     """Largest error, in metres, of any path by table and transform, up to the tilt of this sine."""
     r, v = g.radius, abs(g.curvature)
     missed = v * (r * sine) ** 2 / 2 + v**2 * sine * r**3 / 2 + v**3 * r**4 / 8
     if distance is not None:
-        wide = r + probe_radius
-        missed += (r * sine) ** 2 / (2 * distance) + sine * r * wide**2 / distance**2 + wide**4 / (8 * distance**3)
+        missed += (r * sine) ** 2 / (2 * distance)
     if tilt:
         spot = g.spot_radius + _RINGS * g.airy_step
         slope = sine / math.sqrt(1 - sine**2) + (r + spot) / g.image_distance
@@ -87,7 +79,7 @@ class TruePaths:
     """The paths of one scene's light.
 
     `wavenumber`, `radius`, `focal_length` and `curvature` are k, r, f and 1/R as scalars; tensors carry gradients.
-    `distance` and `probe_radius` are those of the probe's aperture, in metres, None where light goes to the far field.
+    `distance` is that of the probe's aperture in metres, None where light goes to the far field.
     """
 
     def __init__(
@@ -97,10 +89,9 @@ class TruePaths:
         focal_length: torch.Tensor,
         curvature: torch.Tensor,
         distance: torch.Tensor | None = None,
-        probe_radius: float | None = None,
     ) -> None:
         self._k, self._r, self._f, self._v = wavenumber, radius, focal_length, curvature
-        self._distance, self._probe = distance, probe_radius
+        self._distance = distance
 
     def __call__(
         self, x: torch.Tensor, y: torch.Tensor, leg: Leg, straight: torch.Tensor
@@ -139,10 +130,9 @@ class TruePaths:
             path = path + self._tilted(x, y, x0, y0, leg)
         path = path + (1 / z - 1 / straight) * (x**2 + y**2) / 2
         if self._distance is not None:
-            px = (x - x0) / (2 * z) - x / self._f + tx + ox / 2
-            py = (y - y0) / (2 * z) - y / self._f + ty + oy / 2
-            more, less = self._leaving(x, y, px, py, sx, sy)
-            path, size = path + more, size * less
+            # For the probe the lens is foreshortened along the tilt, and its places lie farther away there.
+            out = sx * x + sy * y
+            path, size = path - out**2 / (2 * self._distance), size * (1 - 1.5 * out / self._distance)
         return read_x, read_y, phasor(self._k * path) * size
 
     def _tilted(self, x: torch.Tensor, y: torch.Tensor, x0: torch.Tensor, y0: torch.Tensor, leg: Leg) -> torch.Tensor:
@@ -157,32 +147,6 @@ class TruePaths:
         ways = (ux - x0) ** 2 + (uy - y0) ** 2 + (ux - x) ** 2 + (uy - y) ** 2
         # The order's direction already includes the part that is constant over the spot.
         return farther * (tx**2 + ty**2) - ways * farther / (2 * z * (z + farther))
-
-    def _leaving(
-        self,
-        x: torch.Tensor,
-        y: torch.Tensor,
-        px: torch.Tensor,
-        py: torch.Tensor,
-        sx: torch.Tensor,
-        sy: torch.Tensor,
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The path to the probe, by the exact distance, less that of the transform over it; and its strength."""
-        d = self._distance
-        assert d is not None and self._probe is not None
-        out, square = sx * x + sy * y, x**2 + y**2
-        cosine_squared = 1 - sx**2 - sy**2
-        seen = square - out**2
-        # The ray meets the aperture's plane at X = M x + d M⁻¹ p; light that misses it diffracts at its edge.
-        across = x * px + y * py
-        cross = seen + d * across
-        far = seen + 2 * d * across + d**2 * (px**2 + py**2 + (sx * px + sy * py) ** 2 / cosine_squared)
-        inside = (self._probe / torch.sqrt(far.clamp_min(1e-30))).clamp(max=1)
-        cross, far = cross * inside, far * inside**2
-        beside = far - 2 * cross + seen
-        # √((d + out)² + beside) - d - out, without cancellation.
-        length = beside / (torch.sqrt((d + out) ** 2 + beside) + d + out)
-        return length - (beside + out**2) / (2 * d), 1 - 1.5 * out / d
 
 
 def _both(vector: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
