@@ -27,8 +27,8 @@ Band = tuple[slice, slice, torch.Tensor]
 
 # Largest phase step between two samples of the probe's aperture behind a traced lens, in radians.
 _APERTURE_RADIANS = 2.0
-# Error of a picture over the phase of the longest path that Fresnel's chirps miss.
-_OF_LONGEST = 0.4
+# Error of a picture over the phase of the longest path that Fresnel's chirps miss; how far waves go beside rays, √(λd).
+_OF_LONGEST, _ZONES = 0.4, 1.5
 
 
 @dataclass(frozen=True)
@@ -60,16 +60,19 @@ def missed_by_chirps(
     """Error of pictures, over the peak, as Fresnel's chirps miss exact ways from the pupil to the probe's aperture.
 
     `distance` and `radius` are the aperture's, `reach` the pupil's half width, in metres; `angle` is the largest one of
-    the light that leaves it, `sine` that of the tilt. Light that spreads less than the aperture counts only as far as
-    it spreads. A path that all light shares changes no picture, so paths from 0 to a largest one count for half of it.
+    the light that leaves it, `sine` that of the tilt.
 
-    Little light takes the longest ways, so that a picture is off by less than their phase: by 0.31 of it at most, near
-    the cut-off apart, against sums over exact distances in 500 scenes of thin lenses. Adding the paths of rays to the
-    pupil's phase makes it worse: most of what crosses the aperture beside a ray was diffracted by the pupil's rim.
+    Light from x to the aperture, w beside it, takes a way that is longer than the chirps' by w²x sinθ/2d² + w⁴/8d³.
+    Rays through the aperture go so far aside as their angle makes them, on either side of a focus, and the waves about
+    them some Fresnel zones √(λd) more. A path that all light shares changes no picture, so paths from 0 to a largest
+    one count for half of it. Pictures of thin lenses err by up to 0.30 of its phase, near the cut-off apart, against
+    sums over exact distances in 350 scenes. To add the paths of rays to the pupil's phase makes them worse: much of
+    what crosses the aperture beside a ray was diffracted by the pupil's rim.
     """
-    d = distance
-    wide = reach + min(radius, reach + angle * d + math.sqrt(wavelength * d))
-    longest = sine * reach * wide**2 / (2 * d**2) + wide**4 / (16 * d**3)
+    zone, spread = math.sqrt(wavelength * distance), angle * distance / reach
+    whence = min(reach, (radius + zone) / max(abs(spread - 1), 1e-9))
+    aside = min(whence * spread + _ZONES * zone, reach + radius)
+    longest = sine * reach * aside**2 / (2 * distance**2) + aside**4 / (16 * distance**3)
     return _OF_LONGEST * 2 * math.pi / wavelength * longest
 
 
