@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from tapetum.bench import PrescriptionLens, Scene
+from tapetum.bench import PrescriptionLens, Scene, at_wavelength
 from tapetum.errors import InputError
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import Grid, lens_numbers
@@ -59,7 +59,7 @@ from tapetum.simulate.sensor_edge import EdgeRule, SensorEdge, SpotLight, Spots
 from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.surfaces import Mask, Surface
-from tapetum.simulate.thin_errors import of_narrow_beam, of_the_way, of_tilted_planes
+from tapetum.simulate.thin_errors import faded_by_tilted_planes, of_narrow_beam, of_the_way, of_tilted_planes
 from tapetum.simulate.traced_again import tilts_like
 from tapetum.simulate.traced_lens import TracedLens
 from tapetum.simulate.traced_plan import TracedGroup
@@ -156,7 +156,7 @@ class Camera:
         device: torch.device | str = "auto",
     ) -> None:
         self.scene, self.output = scene, output or sensor_grid(scene)
-        self._edge, self._edge_error = SensorEdge.of(scene.target.sensor), 0.0
+        self._edge, self._edge_error, self._faded = SensorEdge.of(scene.target.sensor), 0.0, 1.0
         self._masks: list[FaintPass] = []
         self._edge_rule: EdgeRule = edge
         self._pictures = pictures
@@ -537,6 +537,7 @@ class Camera:
             if equivalent:
                 weight = weight * (line.wavelength / self.scene.illumination.wavelength)
             own = sines if roll is None else turned(sines, -roll)
+            self._note_fading(line, own)
             spots = self._spots(line, own) if line.ends or line.scatterers else None
             for one, end in itertools.zip_longest(line.passes, line.ends):
                 if end is None or spots is None:
@@ -586,6 +587,20 @@ class Camera:
             probe_radius, away = self.scene.probe.lens.aperture_radius, float(self._distance.detach())
             missed += of_the_way(geometries, away, probe_radius, self._steepest)
         return missed
+
+    def _note_fading(self, line: _Line, sines: torch.Tensor) -> None:
+        """Keep how much more than planned the peaks of a thin lens's gazes fade behind tilted mirrors."""
+        sensor, g = self.scene.target.sensor, line.geometry
+        planes = [
+            (g.image_distance - one.depth / one.index, one.tilt)
+            for one in sensor.layers
+            if at_wavelength(one.reflectance, line.wavelength) > 0
+        ]
+        planes += [(g.image_distance, sensor.tilt)] if sensor.reflectance > 0 else []
+        # The orders of an array return light in many directions.
+        mirrors = self._lens is None and sensor.array is None and sensor.mask is None
+        if mirrors and any(tilt != (0.0, 0.0) for _, tilt in planes):
+            self._faded = max(self._faded, faded_by_tilted_planes(g, planes, sines))
 
     def _spots(self, line: _Line, sines: torch.Tensor) -> Spots:
         """Places of the gazes' spots on the sensor, and the share of each that it holds."""
@@ -666,7 +681,8 @@ class Camera:
         other._wider = self.__dict__.get("_lines") if held and self._lens is not None else None
         for planned in ("_lines", "plan"):
             other.__dict__.pop(planned, None)
-        other.output, other._plans, other._masks, other._profiles, other._edge_error = output, [], [], {}, 0.0
+        other.output, other._plans, other._masks, other._profiles = output, [], [], {}
+        other._edge_error, other._faded = 0.0, 1.0
         other.area = self._area_of(output)
         other.geometry = other._geometry(self.scene.illumination.wavelength, self._steepest)
         return other
@@ -697,10 +713,11 @@ class Camera:
             way += "; the return overfills the probe, which cuts off nothing here"
         return {
             "sampling": self.plan.as_dict(),
-            # Includes the change by the sensor's edges of spots near them, over all gazes so far.
-            "expected_error": max([self.plan.expected_error, *(one.missed for one in self._masks)])
+            # Over all gazes so far: the change by the sensor's edges of spots near them, and peaks that fade as tilted
+            # mirrors turn their light out of the lens.
+            "expected_error": self._faded
+            * (max([self.plan.expected_error, *(one.missed for one in self._masks)]) + self._left_out())
             + self._edge_error
-            + self._left_out()
             + self.area.error,
             "irradiance_at_target": irradiance_at_target(scene),
             "beam_radius_at_target": beam_radius(scene),
