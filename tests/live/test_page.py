@@ -58,8 +58,9 @@ def test_keys_hold_for_cameras_that_come_and_go_between_two_drawings(chromium: A
     step = """async () => {
         const { flood, now } = await import('/static/socket.js');
         const press = (key) => document.body.dispatchEvent(new KeyboardEvent('keydown', { key, bubbles: true }));
-        const state = now.state, here = (...cameras) => flood({ ...now.state, cameras });
-        const one = { ...state.cameras[0], id: 'first' }, other = { ...one, id: 'second' };
+        const here = (...cameras) => flood({ ...now.state, cameras });
+        const one = { id: 'first', x: 100, y: 100, diameter: 9, seen: true, since_utc_ns: now.state.utc_ns,
+            gaze_x: null, gaze_y: null, regions: [], active: null, device: null }, other = { ...one, id: 'second' };
         document.activeElement.blur();
         here(one);
         press('ArrowDown');
@@ -84,6 +85,8 @@ def ignore_next(page: Any) -> str:
         page.keyboard.press("ArrowDown")
         chosen = page.evaluate("document.activeElement.closest('.camera.chosen')?.dataset.id")
         if chosen:
+            # What an earlier key was told must not answer this one.
+            page.evaluate("document.getElementById('refused').hidden = true")
             page.keyboard.press("i")
             until(page, "!['ours', 'refused'].every(id => document.getElementById(id).hidden)")
             if page.locator("#ours").is_visible():

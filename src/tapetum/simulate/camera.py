@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 import torch
 
-from tapetum.bench import PrescriptionLens, Scene, at_wavelength
+from tapetum.bench import PrescriptionLens, Scene
 from tapetum.errors import InputError
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import Grid, lens_numbers
@@ -289,7 +289,7 @@ class Camera:
         for wavelength in self._light():
             focal = float(self._focal_at(wavelength).detach())
             ring = 1.22 * wavelength * distance / (2 * min(radius, beam_radius(scene)))
-            for z in mirrors(scene, wavelength, float(self._z.detach())):
+            for z, _ in mirrors(scene, wavelength, float(self._z.detach())):
                 widest = max(widest, ring + return_radius_by_rays(radius, focal, z, curvature, distance))
         return widest
 
@@ -591,15 +591,11 @@ class Camera:
     def _note_fading(self, line: _Line, sines: torch.Tensor) -> None:
         """Keep how much more than planned the peaks of a thin lens's gazes fade behind tilted mirrors."""
         sensor, g = self.scene.target.sensor, line.geometry
-        planes = [
-            (g.image_distance - one.depth / one.index, one.tilt)
-            for one in sensor.layers
-            if at_wavelength(one.reflectance, line.wavelength) > 0
-        ]
-        planes += [(g.image_distance, sensor.tilt)] if sensor.reflectance > 0 else []
-        # The orders of an array return light in many directions.
-        mirrors = self._lens is None and sensor.array is None and sensor.mask is None
-        if mirrors and any(tilt != (0.0, 0.0) for _, tilt in planes):
+        # The orders of an array, and a mask, return light in many directions.
+        if self._lens is not None or sensor.array is not None or sensor.mask is not None or not line.passes:
+            return
+        planes = mirrors(self.scene, line.wavelength, g.image_distance)
+        if any(tilt != (0.0, 0.0) for _, tilt in planes):
             self._faded = max(self._faded, faded_by_tilted_planes(g, planes, sines))
 
     def _spots(self, line: _Line, sines: torch.Tensor) -> Spots:
@@ -692,7 +688,7 @@ class Camera:
         widest = 0.0
         for line in self._light():
             g = self._geometry(line, self._steepest)
-            for z in mirrors(self.scene, line, g.image_distance):
+            for z, _ in mirrors(self.scene, line, g.image_distance):
                 widest = max(widest, replace(g, image_distance=z).picture_angle)
             for one in scatterers(self.scene, line, g.image_distance):
                 spread = 2 * one.diffuse.spread / one.image_distance

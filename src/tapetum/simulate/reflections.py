@@ -134,15 +134,15 @@ def scatterers(scene: Scene, wavelength: float, image_distance: float) -> list[S
     ]
 
 
-def mirrors(scene: Scene, wavelength: float, image_distance: float) -> list[float]:
-    """Reduced distances from the lens, in metres, of mirroring planes; the sensor's own where there is none."""
+def mirrors(scene: Scene, wavelength: float, image_distance: float) -> list[tuple[float, tuple[float, float]]]:
+    """Mirroring planes' reduced distances from the lens, in metres, and tilts; the sensor's own where there is none."""
     sensor = scene.target.sensor
     found = [
-        image_distance - layer.depth / layer.index
+        (image_distance - layer.depth / layer.index, layer.tilt)
         for layer in sensor.layers
         if at_wavelength(layer.reflectance, wavelength) > 0
     ]
-    return [image_distance, *found] if sensor.reflectance > 0 or not found else found
+    return [(image_distance, sensor.tilt), *found] if sensor.reflectance > 0 or not found else found
 
 
 def glinting(scene: Scene, wavelength: float | None = None) -> float:
