@@ -173,7 +173,8 @@ def test_a_plan_for_a_wide_picture_serves_a_narrow_one_of_all_planes(monkeypatch
     narrow = wide.on(Grid(81, 101, pitch))
     found = narrow(tilts)
     assert len(planned) == 1 and narrow.plan == wide.plan
-    assert float((found - whole[:, 40:-40, 30:-30]).abs().max()) < 3e-4 * float(whole.max())
+    # The aperture has samples of its own for either picture.
+    assert float((found - whole[:, 40:-40, 30:-30]).abs().max()) < 0.05 * wide.accuracy * float(whole.max())
     alone = narrow.on(Grid(91, 101, pitch))
     again = alone(tilts)
     assert len(planned) == 2 and again.shape == (2, 91, 101)

@@ -139,6 +139,25 @@ def test_edge_weights_keep_the_light_that_an_edge_diffracts(validated: Any) -> N
     what = "light diffracted by a sampled rim, 0.6 to 1.2 rad a sample"
     validated(SECTION, what, error(edge_weights(share)[0]), 0.025, "Airy's disc", "of its RMS")
     assert error(share[0]) > 0.025
+    half = edge_weights(share[..., 45:], mirrored=True)
+    torch.testing.assert_close(half, edge_weights(share)[..., 45:])
+
+
+def test_a_rim_out_of_focus_keeps_its_light_on_the_axis(validated: Any) -> None:
+    """All of it meets there: with second differences alone 0.047 of it was missing, at any number of samples."""
+    radius, count = 0.8, 770
+    line = ((torch.arange(count, dtype=torch.float64) + 0.5) * 2 / count - 1) / radius
+    square = line[None, :] ** 2 + line[:, None] ** 2
+    weights = edge_weights(open_share(square[None, None]))[0]
+    turns = torch.linspace(1.5, 2.5, 20, dtype=torch.float64)
+    # The rim's phase changes by so much from sample to sample.
+    bends = turns * count * radius / 4
+    found = torch.stack([(weights * torch.exp(1j * bend * square)).sum() for bend in bends])
+    found = found * (2 / (count * radius)) ** 2
+    wanted = math.pi * (torch.exp(1j * bends) - 1) / (1j * bends)
+    error = float(((found - wanted).abs() * bends / math.pi).square().mean().sqrt())
+    what = "light of a rim far out of focus on the axis, 1.5 to 2.5 rad a sample"
+    validated(SECTION, what, error, 0.02, "its closed form", "of its amplitude")
 
 
 def test_nodes_interpolate() -> None:

@@ -17,7 +17,7 @@ from tapetum.optics.grid import Grid
 from tapetum.simulate import Camera, retroreflect, traced_light, traced_plan
 from tapetum.simulate.probe_path import ProbeAperture
 from tapetum.simulate.surfaces import Order, Surface
-from tapetum.simulate.traced_pass import TracedGrids
+from tapetum.simulate.traced_pass import TracedGrids, TracedPass
 
 SECTION = "Traced lenses"
 # Lenses, the widest field asked of each in degrees, and the range of focal lengths or F-numbers.
@@ -33,10 +33,33 @@ LENSES: list[tuple[str, float, dict[str, tuple[float, float]]]] = [
 ]
 
 
+def test_samples_on_the_way_out_err_by_less_than_sampling_states(validated: Any) -> None:
+    """Efforts hardly differed in them, so that a comparison of two did not see how the rim's light was damped."""
+    case = Case("zoom-18-140mm", 1.06, 3.0, 0.135, curvature=1 / 5.5)
+    output, accuracy = Grid(800, 800, 2.2e-6), 0.02
+    window = math.hypot(output.width, output.height) / 2 / PROBE_FOCAL
+    reach = traced(case)[1].aperture[1]
+    aperture = ProbeAperture.behind_traced(5.5, 12.5e-3, WAVELENGTH, window, reach=reach, accuracy=accuracy)
+    group = planned(case, output, accuracy, aperture=aperture)
+    (one,) = group.passes
+    more = replace(one.grids, leaving=2 * one.grids.leaving)
+    better = TracedPass(one.fits, more, one.surface, one.path, wavelength=WAVELENGTH, accepted=one.accepted)
+    tilts = case.steepest * torch.tensor([[0.0, 0.0], [0.08, 0.1], [0.65, 0.65]], dtype=torch.float64)
+    ours, want = one(tilts), better(tilts)
+    error = float(((ours - want).abs().amax((1, 2)) / want.amax((1, 2))).max())
+    scene = traced_light.traced_scene(
+        *traced(case), output, wavelength=WAVELENGTH, probe_focal_length=PROBE_FOCAL, curvature=1 / 5.5,
+        aperture=aperture,
+    )  # fmt: skip
+    stated = group.plan.expected_error - traced_light.followed(scene, accuracy).unsure
+    what = f"twice the samples on the way out, {case}, {accuracy:g} of the peak"
+    validated(SECTION, what, error / stated, 1.0, "itself", "of what sampling states")
+
+
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (-4.5e-3, -2.4e-3)])
 def test_of_a_spot_only_what_reaches_the_picture_is_sampled(tilt: tuple[float, float]) -> None:
     case, output = Case("phone-c", 5.0, 5.5, 7.5e-3), Grid(31, 31, 4e-6)
-    aperture = ProbeAperture.behind_traced(5.5, 5e-3, WAVELENGTH, 1e-3)
+    aperture = ProbeAperture.behind_traced(5.5, 5e-3, WAVELENGTH, 1e-3, reach=1e-3, accuracy=0.03)
     filter_ = Surface(0.0, (Order((2 * tilt[0], 2 * tilt[1])),), depth=0.72e-3, index=1.11, tilt=tilt)
     one = planned(case, output, 0.03, filter_, aperture=aperture).passes[0]
     blur = abs(one.fits.defocus) * one.fits.aperture[0]

@@ -188,7 +188,7 @@ def test_a_correction_knows_its_paths_at_shallow_tilts_too(validated: Any) -> No
 
 def test_light_far_out_of_focus_is_known_to_a_fiftieth(far_out: FocusedLens) -> None:
     """Its paths were once known to 0.025 radians at best, and the way to the probe to 0.021."""
-    aperture = ProbeAperture.behind_traced(5.5, 12.5e-3, 640e-9, 800 * 2.2e-6 / 0.1 / 2)
+    aperture = ProbeAperture.behind_traced(5.5, 12.5e-3, 640e-9, 800 * 2.2e-6 / 0.1 / 2, reach=0.0107, accuracy=0.02)
     way = Way(wavelength=640e-9, probe_focal_length=0.1, curvature=1 / 5.5, aperture=aperture)
     scene = traced_scene(far_out, fit_pupils(far_out, 0.0185, curvature=1 / 5.5), Grid(800, 800, 2.2e-6), **way)
     assert followed(scene, 0.02).unsure <= 0.02

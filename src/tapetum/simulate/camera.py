@@ -350,7 +350,8 @@ class Camera:
 
         if isinstance(planned, TracedGroup) and len(planned.passes) == len(group):
             others = group if self._wider is None else None
-            one = lens.again(planned, others, self.area.samples, wavelength, distance, **where)
+            own = self.area.samples, wavelength, self._accuracy, distance
+            one = lens.again(planned, others, *own, **where)
         else:
             one = opened(group)
         return one, traced_end(group, opened, self.area.samples)

@@ -25,8 +25,12 @@ __all__ = ["Band", "ProbeAperture", "ProbePath", "missed_by_chirps"]
 # Rows and columns of a part of the pupil, and its fields in pairs.
 Band = tuple[slice, slice, torch.Tensor]
 
-# Largest phase step between two samples of the probe's aperture behind a traced lens, in radians.
-_APERTURE_RADIANS = 2.0
+# Samples of the probe's aperture behind a traced lens. The largest phase step between two of them, in radians, for an
+# error of 4e-5 of the peak, where light meets pixels that hold some, and for one of 8e-4 between any two places; errors
+# grow by the seventh power. The step that keeps copies of a picture at one edge from the other. Samples added for what
+# a rim diffracts, and the error's share of the accuracy asked for.
+_LIT, _ANY, _COPIES = (1.0, 4e-5), (4.0, 8e-4), 5.5
+_POWER, _DIFFRACTED, _OF_APERTURE = 7, 24, 0.05
 # Error of a picture over the phase of the longest path that Fresnel's chirps miss; how far waves go beside rays, √(λd).
 _OF_LONGEST, _ZONES = 0.4, 1.5
 
@@ -47,11 +51,19 @@ class ProbeAperture:
         return cls(distance, radius, *aperture_samples(geometry, away, radius))
 
     @classmethod
-    def behind_traced(cls, distance: float, radius: float, wavelength: float, window: float) -> ProbeAperture:
-        """The aperture with the samples for a picture of half-diagonal `window` (radians), behind a traced lens."""
-        turn = 2 * math.pi / wavelength * radius * (radius / distance + window)
-        samples = max(64, math.ceil(2 * turn / _APERTURE_RADIANS))
-        return cls(distance, radius, samples, samples)
+    def behind_traced(
+        cls, distance: float, radius: float, wavelength: float, window: float, *, reach: float, accuracy: float
+    ) -> ProbeAperture:
+        """The aperture behind a traced lens whose pupil is `reach` in half width, for errors well within `accuracy`.
+
+        The picture's half diagonal is `window`, in radians. Light from places of the pupil to places of the aperture
+        goes under up to `seen`, and the pixels that hold it lie within as much.
+        """
+        seen = (radius + reach) / distance
+        lit, anywhere = (step * (_OF_APERTURE * accuracy / error) ** (1 / _POWER) for step, error in (_LIT, _ANY))
+        angles = max((seen + min(window, seen)) / lit, (seen + window) / anywhere, (seen + 2 * window) / _COPIES)
+        count = _DIFFRACTED + math.ceil(4 * math.pi / wavelength * radius * angles)
+        return cls(distance, radius, count, count)
 
 
 def missed_by_chirps(

@@ -47,6 +47,9 @@ _FITTED = 1.15
 # Fields a radian of tilt: the interpolation between them is far better than the fits (tests). Far out of focus it is
 # not, and so many more are added.
 _FIELDS_A_SINE, _LEAST_FIELDS, _MOST_FIELDS, _DENSER = 33, 5, 21, 4
+# Weights of a sample's share and of those beside it, see `edge_weights`: 1 + x/6 and two more terms in
+# x = sin²(q/2), fitted to the wanted ratio up to q = 2.5, where they err by 0.2 %.
+_UNDAMPING = (1.15547279, -0.09611839, 0.02456734, -0.00787828, 0.00169293)
 # Places evaluated at a time: their memory fits the processor's caches.
 _PLACES_AT_ONCE = 1 << 15
 
@@ -453,16 +456,29 @@ def open_share(heights: torch.Tensor, inside: torch.Tensor | None = None, *, mir
     return total.to(heights.dtype).flatten().scatter_reduce(0, at, share, "amin").reshape(batch, rows, columns)
 
 
-def edge_weights(share: torch.Tensor) -> torch.Tensor:
+def edge_weights(share: torch.Tensor, *, mirrored: bool = False) -> torch.Tensor:
     """Weights of samples [B, n, m] near an edge for the shares of their squares inside it.
 
     A share is the mean over a square: light that the edge diffracts is damped by sin(q/2)/(q/2), q being the change of
-    phase from sample to sample. A 24th of the second differences corrects it up to terms in q⁴.
+    phase from sample to sample, along columns and along rows. Sums over a few samples undo that.
+
+    `mirrored`: beside the first column lies its mirror image.
     """
-    # What lies beyond the first and the last sample is as they are: dark, or a mirror image.
-    wide = torch.nn.functional.pad(share[:, None], (1, 1, 1, 1), mode="replicate")[:, 0]
-    beside = wide[:, 1:-1, :-2] + wide[:, 1:-1, 2:] + wide[:, :-2, 1:-1] + wide[:, 2:, 1:-1]
-    return share + (4 * share - beside) / 24
+    middle, *beside = _UNDAMPING
+    reach = len(beside)
+    for axis in (2, 1):
+        count = share.shape[axis]
+        # What lies beyond the first and the last sample is as they are.
+        first, last = (share.narrow(axis, at, 1) for at in (0, count - 1))
+        ends = [first] * reach, [last] * reach
+        if mirrored and axis == 2:
+            ends = [share.narrow(axis, at, 1) for at in reversed(range(reach))], ends[1]
+        wide = torch.cat([*ends[0], share, *ends[1]], axis)
+        share = middle * share
+        for away, weight in enumerate(beside, 1):
+            share.add_(wide.narrow(axis, reach - away, count), alpha=weight)
+            share.add_(wide.narrow(axis, reach + away, count), alpha=weight)
+    return share
 
 
 def chebyshev(u: torch.Tensor, count: int) -> torch.Tensor:

@@ -53,10 +53,8 @@ class Leaving:
     x, y
         Columns and rows of the entrance pupil, in metres.
     read_at
-        Where in `columns` and `rows`, from -1 to 1, each sample of the pupil lies, [B, rows, columns, 2]; None where
-        the samples are at `columns` and `rows` themselves.
-    unbent
-        Paths in metres of the columns and of the rows that make the light smooth before it is interpolated.
+        Where between `columns`, and where between `rows`, which are equally spaced then, each sample of the pupil lies,
+        counted in them from 0, [B, rows, columns]; None where the samples are at `columns` and `rows` themselves.
     mirrored
         Whether light returns equally on both sides of the middle column, so that the columns may be those on one side.
     length
@@ -68,8 +66,7 @@ class Leaving:
     wave: torch.Tensor
     x: torch.Tensor
     y: torch.Tensor
-    read_at: torch.Tensor | None = None
-    unbent: tuple[torch.Tensor, torch.Tensor] | None = None
+    read_at: tuple[torch.Tensor, torch.Tensor] | None = None
     mirrored: bool = False
     length: int | None = None
 

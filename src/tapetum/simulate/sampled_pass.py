@@ -20,6 +20,7 @@ from typing import Any, Generic, TypeVar
 import torch
 
 from tapetum.optics.fourier import fast_sums, folded, phasor, real_times
+from tapetum.optics.splines import read_between, undamped
 from tapetum.simulate.pupils import Gazes, Leaving, Pupil
 from tapetum.simulate.spot_window import SpotWindow
 from tapetum.simulate.surfaces import Mask, Surface
@@ -139,10 +140,7 @@ class SampledPass(Generic[Lens]):
         kernels = self._kernels or self._back(leaving)
         back = kernels(self._reflected(spot, at, leaving.mirrored))
         if leaving.read_at is not None:
-            planes = torch.view_as_real(back).permute(0, 3, 1, 2)
-            read_at = leaving.read_at.to(self.dtype.to_real())
-            back = torch.nn.functional.grid_sample(planes, read_at, "bicubic", "border", align_corners=True)
-            back = torch.complex(back[:, 0], back[:, 1])
+            back = read_between(back, *leaving.read_at)
         return back * leaving.wave, leaving.x, leaving.y
 
     def _entered(self, at: Gazes, dtype: torch.dtype, halved: bool = False) -> torch.Tensor:
@@ -179,36 +177,40 @@ class SampledPass(Generic[Lens]):
         v, real = self._v, self.dtype.to_real()
         half = v[: (len(v) + 1) // 2]
 
+        def weights(places: torch.Tensor, v: torch.Tensor, in_middle: float, beside: float) -> torch.Tensor:
+            weight = torch.where(v == 0, in_middle, beside)
+            return (weight * self._undamped(places, v) if leaving.read_at else weight[None]).to(real)
+
         def pairs(places: torch.Tensor) -> torch.Tensor:
             kernel = self._kernel(half, places, self.dtype).mT
             # A sample in the middle is its own partner.
             both = torch.stack([kernel.real, kernel.imag], 1)
-            return both * torch.where(half == 0, 0.5, 1.0).to(real)
+            return both * weights(places, half, 0.5, 1.0)[:, None, None]
 
         down = pairs(leaving.rows)
         if leaving.mirrored:
             v = v[len(v) // 2 :]
             # Both sides; the middle column is but one.
-            both = torch.where(v == 0, 1.0, 2.0).to(real)
-            right = (both[:, None] * self._kernel(v, leaving.columns, self.dtype).real).mT
+            both = weights(leaving.columns, v, 1.0, 2.0)
+            right = (both[..., None] * self._kernel(v, leaving.columns, self.dtype).real).mT
         else:
             right = pairs(leaving.columns)
-        if leaving.unbent is None:
-            return _Kernels(down, right, None)
-        across, along = (phasor(self._k * path, self.dtype) for path in leaving.unbent)
-        return _Kernels(down, right, (across[:, None, :], along[..., None]))
+        return _Kernels(down, right)
+
+    def _undamped(self, places: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """What light at v is multiplied with before it is read between equally spaced directions [B, n], [B, v]."""
+        return undamped(self._k * (places[:, 1:2] - places[:, :1]) * v)
 
     def _fast(self, leaving: Leaving, length: int) -> _Fast:
         # k s_m v_j of s_m = s_0 + m λ/(NΔ), v_j = (j - (n - 1)/2) Δ: a ramp of s_0, the transform's own mj/N, and the
         # phase of the samples' middle.
-        def parts(places: torch.Tensor, path: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+        def parts(places: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
             number = torch.arange(places.shape[-1], dtype=torch.float64, device=self.device)
             phase = -math.pi * (len(self._v) - 1) / length * number
-            phase = phase[None] if path is None else phase + self._k * path
-            return phasor(self._k * places[:, :1] * self._v, self.dtype), phasor(phase, self.dtype)
+            ramp = phasor(self._k * places[:, :1] * self._v, self.dtype)
+            return ramp * self._undamped(places, self._v).to(ramp.real), phasor(phase[None], self.dtype)
 
-        across, along = (None, None) if leaving.unbent is None else leaving.unbent
-        return _Fast(length, len(self._v), parts(leaving.columns, across), parts(leaving.rows, along))
+        return _Fast(length, len(self._v), parts(leaving.columns), parts(leaving.rows))
 
     def _reflected(self, spot: torch.Tensor, at: Gazes, half: bool) -> torch.Tensor:
         """The spot's light off the plane: times a mask, or phases that change slowly for each order of a surface."""
@@ -274,20 +276,17 @@ def _unfolded(half: torch.Tensor, dim: int, count: int) -> torch.Tensor:
 class _Kernels:
     """Real kernels of both products: of pairs of rows, and of pairs of columns or of the columns from 0 on.
 
-    `down` [B, 2, y, n/2] are cosines and sines, `right` [B, 2, x, n/2] too or cosines [B, x, n/2]; `factors` of columns
-    and rows follow.
+    `down` [B, 2, y, n/2] are cosines and sines, `right` [B, 2, x, n/2] too or cosines [B, x, n/2].
     """
 
     down: torch.Tensor
     right: torch.Tensor
-    factors: tuple[torch.Tensor, torch.Tensor] | None
 
     def __call__(self, spot: torch.Tensor) -> torch.Tensor:
         """From the plane [B, n, n or n/2] to the directions [B, y, x]."""
         back = _gathered(self.down, spot).mT
         back = real_times(self.right, back) if self.right.dim() == 3 else _gathered(self.right, back)
-        back = back.mT
-        return back if self.factors is None else back * self.factors[0] * self.factors[1]
+        return back.mT
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,7 @@ class TracedLens:
         device: torch.device,
     ) -> TracedGroup:
         """The passes of planes that interfere, over the `distance` through the probe's aperture or to the far field."""
-        way = self._way(output, wavelength, distance, dtype, device)
+        way = self._way(output, wavelength, distance, accuracy, dtype, device)
         return traced_group(*self._at(wavelength), surfaces, output, accuracy=accuracy, pictures=pictures, **way)
 
     def again(
@@ -138,6 +138,7 @@ class TracedLens:
         surfaces: Sequence[Surface] | None,
         output: Grid,
         wavelength: float,
+        accuracy: float,
         distance: float | None,
         *,
         dtype: torch.dtype,
@@ -145,7 +146,7 @@ class TracedLens:
     ) -> TracedGroup:
         """As `group`, on the samples of one that was planned for the lens before it was set, or without `surfaces` for
         this lens and other pixels."""
-        way = self._way(output, wavelength, distance, dtype, device)
+        way = self._way(output, wavelength, distance, accuracy, dtype, device)
         return group_again(group, *self._at(wavelength), surfaces, output, same_lens=self._is_planned, **way)
 
     def mask(
@@ -160,19 +161,27 @@ class TracedLens:
     ) -> TracedMask:
         """The passes of a mask on the sensor, to the far field."""
         focused, fits = self._at(wavelength)
-        way = self._way(output, wavelength, None, dtype, device)
+        way = self._way(output, wavelength, None, accuracy, dtype, device)
         return traced_mask(focused, fits, Surface(focused.image), mask, output, accuracy=accuracy, **way)
 
     def _way(
-        self, output: Grid, wavelength: float, distance: float | None, dtype: torch.dtype, device: torch.device
+        self,
+        output: Grid,
+        wavelength: float,
+        distance: float | None,
+        accuracy: float,
+        dtype: torch.dtype,
+        device: torch.device,
     ) -> Way:
         probe = self._scene.probe.lens
         aperture = None
         if distance is not None:
             window = math.hypot(output.width, output.height) / 2 / probe.focal_length
             # The distance counts from the entrance pupil, the light from where its rim is sharp.
-            away = distance + pupil_depth(self._at(wavelength)[0])
-            aperture = ProbeAperture.behind_traced(away, probe.aperture_radius, wavelength, window)
+            focused, fits = self._at(wavelength)
+            lit = {"reach": fits.aperture[1], "accuracy": accuracy}
+            away = distance + pupil_depth(focused)
+            aperture = ProbeAperture.behind_traced(away, probe.aperture_radius, wavelength, window, **lit)
         return {
             "wavelength": wavelength,
             "probe_focal_length": probe.focal_length,

@@ -66,6 +66,8 @@ _MOST_POWER = 1.03
 # Samples of the sensor for each detail of a mask, over the square of an effort's samples over the spot's need:
 # their error falls by the fourth power, and has to halve from an effort to the second next.
 _DETAILS = 2.5
+# Samples of the returning field for each turn of light from the window's edge, over an effort's.
+_BETWEEN = 1.5
 # Rings of the spot that reach a mask beside it, at least: as many as count where a sensor ends.
 _RINGS_BESIDE = 30
 _MOST_PUPIL, _MOST_SENSOR = 3072, 4096
@@ -496,7 +498,7 @@ def _grids(
     ring = wavelength / (2 * sine)
     blur = abs(fits.defocus) * sine + fits.aberration
     whole = half = blur + effort.rings * ring
-    read, least = sine, 2 * effort.pupil
+    read, least = sine, effort.pupil
     if fits.part is not None:
         # A place of the spot sends light to a place of the pupil under one angle: what reaches the picture comes from
         # where its own rays meet the plane, and as much beside them as the angles seen make.
@@ -517,7 +519,7 @@ def _grids(
     # Faint light far from the spot comes from the pupil's edges: they need more samples than the rays.
     pupil = max(effort.pupil, math.ceil(effort.finer * (turns + 2 * effort.rings)))
     # Copies of the picture must lie beside it: the sum of the angles seen and sent.
-    leaving = max(effort.pupil, math.ceil(1.2 * effort.finer * 2 * reach * angle / wavelength))
+    leaving = max(effort.pupil, math.ceil(1.5 * effort.finer * 2 * reach * angle / wavelength))
     if pupil > _MOST_PUPIL or sensor > _MOST_SENSOR or leaving > _MOST_PUPIL:
         of_mask = "" if mask is None else f"give the mask a coarser pitch than {mask.finest * 1e6:.3g} um, "
         raise InputError(
@@ -526,9 +528,8 @@ def _grids(
             where="target",
             remedy=f"{of_mask}focus nearer to the probe, stop the lens down with f_number, or ask for less accuracy",
         )
-    # Removing the defocus leaves the light of rays smooth, but not what the rim diffracts: that comes from all of the
-    # spot, as what a mask scatters does.
-    returning = max(least, math.ceil(3 * effort.finer * 2 * read * 2 * half / wavelength))
+    # Samples for light from the window's edge: read between them by splines, it has copies of 1 % of it and less.
+    returning = max(least, math.ceil(_BETWEEN * effort.finer * 2 * read * 2 * half / wavelength))
     return TracedGrids(pupil, sensor, half, half - effort.rings * ring / 2, returning, leaving)
 
 

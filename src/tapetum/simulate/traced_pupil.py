@@ -145,7 +145,8 @@ class _TracedGazes:
         else:
             columns, rows, path, values = on_tilt_grid(one.fits.entering, self._tilt, one.samples[0], one.real)
         share = torch.sqrt(values[:, 0].clamp_min(_DARK))
-        share = share * edge_weights(open_share(values[:, 1:], inside, mirrored=not self._own))
+        mirrored = not self._own
+        share = share * edge_weights(open_share(values[:, 1:], inside, mirrored=mirrored), mirrored=mirrored)
         cell = (columns[:, 1] - columns[:, 0]) * (rows[:, 1] - rows[:, 0])
         # A tilted pupil receives less light.
         dimmed = cell * self._returns * (1 - self._size**2) ** 0.25
@@ -161,7 +162,7 @@ class _TracedGazes:
 
     def leaving(self) -> Leaving:
         """The pupil on the way out, on columns and rows of the probe's picture."""
-        one, fits, chief = self._pupil, self._pupil.fits, self._chief
+        one, fits = self._pupil, self._pupil.fits
         rotation, _ = foreshortening(self._sines)
         toward = (rotation.mT @ self._seen[..., None])[..., 0]
         x, y, path, even, odd, inside = on_grid(fits.leaving, self._tilt, toward, one.samples[2], one.real)
@@ -171,20 +172,13 @@ class _TracedGazes:
         else:
             out = out * edge_weights(open_share(even[:, 2:], inside))
         along, across = even[:, 0], odd[:, 0]
-        mx, my = self.middle.unbind(-1)
         if one.tilt != (0.0, 0.0):
             path = path + self._taken(along**2 + across**2, along)
-        # Defocus adds a phase by the square of the direction: removed before the interpolation, restored after it. What
-        # a mask scatters does not have it.
-        defocus = 0.0 if self._own else fits.defocus
         if fits.part is not None:
-            # What is sampled about another place has its phases, and light that is not turned lies elsewhere in s.
+            # What is sampled about another place has its phases.
             more = (self._bent[:, 0] + 2 * self.turn[:, 1]) * self._centre
             path = path + along.double() * self._centre[:, None, None] + more[:, None, None]
-            my = my + self._centre / defocus
-            chief = chief + self._centre / defocus
-        path = (path + one.phase / one.k) - defocus / 2 * ((along + chief[:, None, None].to(one.real)) ** 2 + across**2)
-        wave = out * phasor(one.k * path, one.dtype)
+        wave = out * phasor(one.k * path + one.phase, one.dtype)
         mirrored = one.straight and not self._own
         if mirrored:
             columns, read_x = self._half_line(across.abs(), inside)
@@ -193,11 +187,9 @@ class _TracedGazes:
             tx, ty = self._x[:, None, None].to(one.real), self._y[:, None, None].to(one.real)
             columns, read_x = self._line(along * tx - across * ty, inside)
             rows, read_y = self._line(along * ty + across * tx, inside)
-        unbent = defocus / 2 * (columns + mx[:, None]) ** 2, defocus / 2 * (rows + my[:, None]) ** 2
         if fits.part is not None:
             rows = rows + self._bent
-        read_at = torch.stack([read_x, read_y], -1)
-        return Leaving(columns, rows, wave, x, y, read_at, unbent, mirrored, one.length)
+        return Leaving(columns, rows, wave, x, y, (read_x, read_y), mirrored, one.length)
 
     def to_probe(
         self,
@@ -219,35 +211,28 @@ class _TracedGazes:
         return torch.cos(fade.clamp(0, 1) * (math.pi / 2)) ** 2
 
     def _line(self, places: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Equal steps over the places inside, [B, m], and where between them, from -1 to 1, each place lies."""
-        low = torch.where(inside, places, math.inf).amin((1, 2))
+        """Equal steps over the places inside and a margin, [B, m], and where between them, from 0, each place lies."""
+        low = torch.where(inside, places, math.inf).amin((1, 2)).double()
         wide = torch.where(inside, places, -math.inf).amax((1, 2)) - low
-        if self._pupil.length is not None:
-            return self._steps(places, low - _MARGIN * self._pupil.step, wide)
-        line = torch.linspace(0, 1, self._pupil.samples[1], dtype=torch.float64, device=places.device)
-        scale = (2 / wide)[:, None, None]
-        return low[:, None] + wide[:, None] * line, places * scale - (low[:, None, None] * scale + 1)
+        return self._steps(places, low, wide, self._pupil.samples[1])
 
     def _half_line(self, places: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """As `_line` for places read by their distance from the middle, with a margin beyond it to interpolate."""
-        wide = torch.where(inside, places, 0.0).amax((1, 2))
-        if self._pupil.length is not None:
-            return self._steps(places, torch.full_like(wide, -_MARGIN * self._pupil.step), wide)
-        count = (self._pupil.samples[1] + 1) // 2
-        line = torch.arange(-_MARGIN, count, dtype=torch.float64, device=places.device) / (count - 1)
-        first, last = line[0], line[-1]
-        scale = (2 / (last - first) / wide)[:, None, None].to(places)
-        return wide[:, None] * line, places * scale - (2 * first / (last - first) + 1).to(places)
+        """As `_line` for places read by their distance from the middle."""
+        wide = torch.where(inside, places, 0.0).amax((1, 2)).double()
+        return self._steps(places, torch.zeros_like(wide), wide, (self._pupil.samples[1] + 1) // 2)
 
     def _steps(
-        self, places: torch.Tensor, first: torch.Tensor, wide: torch.Tensor
+        self, places: torch.Tensor, low: torch.Tensor, wide: torch.Tensor, count: int
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """As `_line`, in the pupil's steps from `first` [B] on, with a margin at both ends."""
-        step = self._pupil.step
-        count = math.ceil(float(wide.detach().max()) / step) + 1 + 2 * _MARGIN
-        line = step * torch.arange(count, dtype=torch.float64, device=places.device)
-        scale = 2 / (step * (count - 1))
-        return first.double()[:, None] + line, places * scale - (first[:, None, None] * scale + 1).to(places)
+        """As `_line`, from `low` on for `wide`, each [B]: in `count` steps, or in the pupil's own where it has one."""
+        step = (wide / (count - 1))[:, None]
+        if self._pupil.length is not None:
+            step = torch.full_like(step, self._pupil.step)
+            count = math.ceil(float(wide.detach().max()) / self._pupil.step) + 1
+        number = torch.arange(-_MARGIN, count + _MARGIN, dtype=torch.float64, device=places.device)
+        line = low[:, None] + step * number
+        scale, offset = ((1 / step)[..., None].to(places), (line[:, :1] / step)[..., None].to(places))
+        return line, places * scale - offset
 
     def _taken(self, square: torch.Tensor, along: torch.Tensor) -> torch.Tensor:
         """Path difference of a plane nearer by this much at the spot, about the place where the chief ray meets it."""
