@@ -10,7 +10,7 @@ import torch
 
 from tapetum.optics.splines import read_between, undamped
 
-SECTION = "Transforms"
+SECTION = "Propagation"
 
 
 def places(count: int, rows: int = 40, columns: int = 50) -> tuple[torch.Tensor, torch.Tensor]:

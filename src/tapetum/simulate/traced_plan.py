@@ -518,8 +518,9 @@ def _grids(
     turns = 2 * sine * (whole + half) / wavelength
     # Faint light far from the spot comes from the pupil's edges: they need more samples than the rays.
     pupil = max(effort.pupil, math.ceil(effort.finer * (turns + 2 * effort.rings)))
-    # Copies of the picture must lie beside it: the sum of the angles seen and sent.
-    leaving = max(effort.pupil, math.ceil(1.5 * effort.finer * 2 * reach * angle / wavelength))
+    # Copies of the picture must lie beside it: the sum of the angles seen and sent. The rim's light takes more, and
+    # efforts must differ in it for their comparison to see what it errs by.
+    leaving = max(effort.pupil, math.ceil(1.05 * effort.finer**1.5 * 2 * reach * angle / wavelength))
     if pupil > _MOST_PUPIL or sensor > _MOST_SENSOR or leaving > _MOST_PUPIL:
         of_mask = "" if mask is None else f"give the mask a coarser pitch than {mask.finest * 1e6:.3g} um, "
         raise InputError(
@@ -528,7 +529,7 @@ def _grids(
             where="target",
             remedy=f"{of_mask}focus nearer to the probe, stop the lens down with f_number, or ask for less accuracy",
         )
-    # Samples for light from the window's edge: read between them by splines, it has copies of 1 % of it and less.
+    # What comes from the window's edge turns fastest: splines that read between samples leave copies of 2 % of it.
     returning = max(least, math.ceil(_BETWEEN * effort.finer * 2 * read * 2 * half / wavelength))
     return TracedGrids(pupil, sensor, half, half - effort.rings * ring / 2, returning, leaving)
 
