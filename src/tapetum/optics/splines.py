@@ -66,8 +66,8 @@ def _between(at: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor, 
 
     Of the four weights that are not zero, each two neighbours are one linear reading between them.
     """
-    s = at.frac()
-    first, scale = at - s, 2 / (count - 1)
+    first, scale = at.floor(), 2 / (count - 1)
+    s = at - first
     after = 1 + s * (3 + s * (3 - 2 * s))
     before = 6 - after
     left = first - (1 - s) ** 3 / before
