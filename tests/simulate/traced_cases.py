@@ -80,8 +80,19 @@ def planned(
     return traced_group(focused, fits, surfaces or (MIRROR,), output, accuracy=accuracy, pictures=pictures, **options)
 
 
-def finer(one: TracedPass, output: Grid, times: float = 2.0, *, window: float = 2.0, **other: Any) -> TracedPass:
-    """The same pass, in double precision, with a wider window on the sensor and more samples of everything."""
+def finer(
+    one: TracedPass,
+    output: Grid,
+    times: float = 2.0,
+    *,
+    window: float = 2.0,
+    leaving: float | None = None,
+    **other: Any,
+) -> TracedPass:
+    """The same pass, in double precision, with a wider window on the sensor and more samples of everything.
+
+    `leaving` is how many times as many there are on the way out, `times` where it is left out.
+    """
     g = one.grids
     half = window * g.half_width
     # A wider window turns faster: its samples grow with both.
@@ -91,7 +102,7 @@ def finer(one: TracedPass, output: Grid, times: float = 2.0, *, window: float = 
         half,
         half - (g.half_width - g.flat) / 2,
         math.ceil(times * window * g.returning),
-        math.ceil(times * (g.leaving or g.pupil)),
+        math.ceil((leaving or times) * (g.leaving or g.pupil)),
     )
     return bare(other.pop("fits", one.fits), grids, output, other.pop("surface", one.surface), one.accepted)
 
