@@ -1,4 +1,4 @@
-"""Readings between samples: of waves, whose damping and copies are known, and of the transform of a window."""
+"""Readings between samples: of waves, whose damping and copies are known, and of a window's transform."""
 
 from __future__ import annotations
 
@@ -33,6 +33,33 @@ def test_waves_are_read_but_for_their_copies(turn: float, validated: Any) -> Non
     validated(SECTION, f"waves of {turn:g} rad a sample, read between samples", error, 1.15 * copy, "the wave",
               "its amplitude")  # fmt: skip
     assert error > 0.2 * copy
+
+
+def test_the_transform_of_a_window_is_read_with_phase_and_all(validated: Any) -> None:
+    """As the returning field is: damping is given back to the window's samples, each at its own place."""
+    dice = torch.Generator().manual_seed(5)
+    window = torch.randn(1, 31, 31, generator=dice, dtype=torch.complex128)
+    # The window's edge turns by one radian a sample of its transform.
+    v, number = torch.linspace(-1.0, 1.0, 31, dtype=torch.float64), torch.arange(60, dtype=torch.float64)
+    kernel, given = torch.exp(1j * number[:, None] * v), undamped(v)
+    x, y = places(60)
+    found = read_between(kernel @ (window * given * given[:, None]) @ kernel.T, x, y)
+    across, down = (torch.exp(1j * at.flatten()[:, None] * v) for at in (x, y))
+    wanted = torch.einsum("pi,ij,pj->p", down, window[0], across).reshape(x.shape)
+    error = float((found - wanted).abs().max() / wanted.abs().max())
+    validated(SECTION, "the transform of a window, 1 rad a sample at its edge, read between samples", error, 1.5e-3,
+              "its sums")  # fmt: skip
+
+
+def test_places_are_read_alike_however_many_at_once() -> None:
+    """In parts and shared among threads, and all together where gradients are wanted."""
+    dice = torch.Generator().manual_seed(6)
+    samples = torch.randn(3, 40, 50, generator=dice, dtype=torch.complex128)
+    x, y = (torch.rand(3, 301, 260, generator=dice, dtype=torch.float64) * 60 - 5 for _ in range(2))
+    together = read_between(samples, x.clone().requires_grad_(), y)
+    torch.testing.assert_close(read_between(samples, x, y), together.detach())
+    torch.testing.assert_close(read_between(samples[:, :, :30], x[:, :9, :9], y[:, :9, :9]),
+                               read_between(samples[:, :, :30], x, y)[:, :9, :9])  # fmt: skip
 
 
 def test_what_was_sampled_is_read_with_its_gradient() -> None:

@@ -56,6 +56,14 @@ def test_samples_on_the_way_out_err_by_less_than_sampling_states(validated: Any)
     validated(SECTION, what, error / stated, 1.0, "itself", "of what sampling states")
 
 
+@pytest.mark.parametrize("changes", [{"sampling.accuracy": 1e-300}, {"probe.lens.aperture_radius": 0.08}])
+def test_an_aperture_of_too_many_samples_is_refused(changes: dict[str, float]) -> None:
+    """Samples that follow the accuracy once overflowed, and wide apertures took minutes and gigabytes."""
+    one = load_scene("focusing")
+    with pytest.raises(InputError, match=r"samples there, .* GiB, above .*; stop it down to .* mm, ask for less"):
+        retroreflect(with_values(one, {**changes, "sampling.propagation": "finite"}))
+
+
 @pytest.mark.parametrize("tilt", [(0.0, 0.0), (-4.5e-3, -2.4e-3)])
 def test_of_a_spot_only_what_reaches_the_picture_is_sampled(tilt: tuple[float, float]) -> None:
     case, output = Case("phone-c", 5.0, 5.5, 7.5e-3), Grid(31, 31, 4e-6)

@@ -433,25 +433,28 @@ def aperture_samples(geometry: DoublePassGeometry, distance: float, probe_radius
     return columns, math.ceil(columns * _ROWS_A_COLUMN)
 
 
-def check_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> None:
-    """Refuse a probe's aperture whose samples exceed the memory allowed; arguments as for `aperture_samples`.
+def check_aperture(
+    samples: Callable[[float], tuple[int, int]], distance: float, probe_radius: float, also: str = ""
+) -> None:
+    """Refuse a probe's aperture whose samples exceed the memory allowed: columns and rows by `samples` of its radius.
 
-    The InputError names the largest aperture that fits.
+    The InputError names the largest aperture that fits, and what `also` helps.
     """
 
     def needed(radius: float) -> int:
-        columns, rows = aperture_samples(geometry, distance, radius)
+        columns, rows = samples(radius)
         return _BYTES_AT_APERTURE * columns * rows
 
     if needed(probe_radius) <= _MOST_BYTES:
         return
-    columns, rows = aperture_samples(geometry, distance, probe_radius)
+    columns, rows = samples(probe_radius)
     fitting = _largest(lambda share: needed(probe_radius * share) <= _MOST_BYTES)
     raise InputError(
         f"light that goes {distance:.3g} m to an aperture of {probe_radius:.3g} m needs {columns} x {rows} samples "
         f"there, {needed(probe_radius) / 2**30:.1f} GiB, above the {_MOST_BYTES / 2**30:.1f} GiB allowed",
         where="probe.lens.aperture_radius",
         remedy=(f"stop it down to {probe_radius * fitting * 1e3:.3g} mm, " if fitting else "")
+        + (f"{also}, " if also else "")
         + "or set sampling.propagation to 'far field', which has no aperture",
     )
 

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 import torch
@@ -24,6 +24,7 @@ from tapetum.optics.grid_sampling import ACCURACIES, SamplingPlan, plan_double_p
 from tapetum.optics.sampling import (
     DoublePassGeometry,
     Plan,
+    aperture_samples,
     check_aperture,
     check_table,
     plan_aside,
@@ -371,7 +372,7 @@ class Camera:
         check_table(at, plan, at.tangent + tilt)
         check_squash(at)
         if self._finite:
-            check_aperture(at, away, probe_radius)
+            check_aperture(partial(aperture_samples, at, away), away, probe_radius)
         options: dict[str, Any] = {
             "distance": self._distance if self._finite else None,
             "probe_radius": probe_radius if self._finite else None,

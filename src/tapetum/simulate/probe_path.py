@@ -31,6 +31,8 @@ Band = tuple[slice, slice, torch.Tensor]
 # a rim diffracts, and the error's share of the accuracy asked for.
 _LIT, _ANY, _COPIES = (1.0, 4e-5), (4.0, 8e-4), 5.5
 _POWER, _DIFFRACTED, _OF_APERTURE = 7, 24, 0.05
+# Accuracies below this are beyond rounding.
+_FINEST = 1e-9
 # Error of a picture over the phase of the longest path that Fresnel's chirps miss; how far waves go beside rays, √(λd).
 _OF_LONGEST, _ZONES = 0.4, 1.5
 
@@ -59,7 +61,7 @@ class ProbeAperture:
         The picture's half diagonal is `window`, in radians. Light from places of the pupil to places of the aperture
         goes under up to `seen`, and the pixels that hold it lie within as much.
         """
-        seen = (radius + reach) / distance
+        seen, accuracy = (radius + reach) / distance, max(accuracy, _FINEST)
         lit, anywhere = (step * (_OF_APERTURE * accuracy / error) ** (1 / _POWER) for step, error in (_LIT, _ANY))
         angles = max((seen + min(window, seen)) / lit, (seen + window) / anywhere, (seen + 2 * window) / _COPIES)
         count = _DIFFRACTED + math.ceil(4 * math.pi / wavelength * radius * angles)

@@ -13,6 +13,7 @@ from tapetum.bench import PrescriptionLens, Scene, at_wavelength
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens, best_focus
 from tapetum.optics.grid import Grid
+from tapetum.optics.sampling import check_aperture
 from tapetum.simulate.glints import Glints, GlintTable, glint_tables
 from tapetum.simulate.probe_path import ProbeAperture
 from tapetum.simulate.pupil_fits import PupilFits, TiltNodes, fit_pupils, rounded_up
@@ -129,7 +130,7 @@ class TracedLens:
         device: torch.device,
     ) -> TracedGroup:
         """The passes of planes that interfere, over the `distance` through the probe's aperture or to the far field."""
-        way = self._way(output, wavelength, distance, accuracy, dtype, device)
+        way = self._way(output, wavelength, accuracy, distance, dtype, device)
         return traced_group(*self._at(wavelength), surfaces, output, accuracy=accuracy, pictures=pictures, **way)
 
     def again(
@@ -146,7 +147,7 @@ class TracedLens:
     ) -> TracedGroup:
         """As `group`, on the samples of one that was planned for the lens before it was set, or without `surfaces` for
         this lens and other pixels."""
-        way = self._way(output, wavelength, distance, accuracy, dtype, device)
+        way = self._way(output, wavelength, accuracy, distance, dtype, device)
         return group_again(group, *self._at(wavelength), surfaces, output, same_lens=self._is_planned, **way)
 
     def mask(
@@ -161,15 +162,15 @@ class TracedLens:
     ) -> TracedMask:
         """The passes of a mask on the sensor, to the far field."""
         focused, fits = self._at(wavelength)
-        way = self._way(output, wavelength, None, accuracy, dtype, device)
+        way = self._way(output, wavelength, accuracy, None, dtype, device)
         return traced_mask(focused, fits, Surface(focused.image), mask, output, accuracy=accuracy, **way)
 
     def _way(
         self,
         output: Grid,
         wavelength: float,
-        distance: float | None,
         accuracy: float,
+        distance: float | None,
         dtype: torch.dtype,
         device: torch.device,
     ) -> Way:
@@ -179,9 +180,19 @@ class TracedLens:
             window = math.hypot(output.width, output.height) / 2 / probe.focal_length
             # The distance counts from the entrance pupil, the light from where its rim is sharp.
             focused, fits = self._at(wavelength)
-            lit = {"reach": fits.aperture[1], "accuracy": accuracy}
             away = distance + pupil_depth(focused)
-            aperture = ProbeAperture.behind_traced(away, probe.aperture_radius, wavelength, window, **lit)
+
+            def of(radius: float) -> ProbeAperture:
+                reach = fits.aperture[1]
+                return ProbeAperture.behind_traced(away, radius, wavelength, window, reach=reach, accuracy=accuracy)
+
+            check_aperture(
+                lambda radius: (of(radius).columns, of(radius).rows),
+                away,
+                probe.aperture_radius,
+                also="ask for less accuracy",
+            )
+            aperture = of(probe.aperture_radius)
         return {
             "wavelength": wavelength,
             "probe_focal_length": probe.focal_length,
