@@ -40,7 +40,7 @@ def test_samples_on_the_way_out_err_by_less_than_sampling_states(validated: Any)
     window = math.hypot(output.width, output.height) / 2 / PROBE_FOCAL
     reach = traced(case)[1].aperture[1]
     aperture = ProbeAperture.behind_traced(5.5, 12.5e-3, WAVELENGTH, window, reach=reach, accuracy=accuracy)
-    group = planned(case, output, accuracy, aperture=aperture)
+    group = planned(case, output, accuracy, pictures=1, aperture=aperture)
     (one,) = group.passes
     more = replace(one.grids, leaving=2 * one.grids.leaving)
     better = TracedPass(one.fits, more, one.surface, one.path, wavelength=WAVELENGTH, accepted=one.accepted)

@@ -434,9 +434,14 @@ def aperture_samples(geometry: DoublePassGeometry, distance: float, probe_radius
 
 
 def check_aperture(
-    samples: Callable[[float], tuple[int, int]], distance: float, probe_radius: float, also: str = ""
+    samples: Callable[[float], tuple[int, int]],
+    distance: float,
+    probe_radius: float,
+    *,
+    most: int = _MOST_BYTES,
+    also: str = "",
 ) -> None:
-    """Refuse a probe's aperture whose samples exceed the memory allowed: columns and rows by `samples` of its radius.
+    """Refuse a probe's aperture that needs more than `most` bytes: columns and rows by `samples` of its radius.
 
     The InputError names the largest aperture that fits, and what `also` helps.
     """
@@ -445,13 +450,13 @@ def check_aperture(
         columns, rows = samples(radius)
         return _BYTES_AT_APERTURE * columns * rows
 
-    if needed(probe_radius) <= _MOST_BYTES:
+    if needed(probe_radius) <= most:
         return
     columns, rows = samples(probe_radius)
-    fitting = _largest(lambda share: needed(probe_radius * share) <= _MOST_BYTES)
+    fitting = _largest(lambda share: needed(probe_radius * share) <= most)
     raise InputError(
         f"light that goes {distance:.3g} m to an aperture of {probe_radius:.3g} m needs {columns} x {rows} samples "
-        f"there, {needed(probe_radius) / 2**30:.1f} GiB, above the {_MOST_BYTES / 2**30:.1f} GiB allowed",
+        f"there, {needed(probe_radius) / 2**30:.1f} GiB, above the {most / 2**30:.1f} GiB allowed",
         where="probe.lens.aperture_radius",
         remedy=(f"stop it down to {probe_radius * fitting * 1e3:.3g} mm, " if fitting else "")
         + (f"{also}, " if also else "")

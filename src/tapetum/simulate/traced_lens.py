@@ -28,6 +28,8 @@ from tapetum.simulate.traced_plan import TracedGroup, TracedMask, traced_group, 
 __all__ = ["TracedLens"]
 
 _COUNT, _BISECTIONS = 21, 9
+# Bytes that the samples of the probe's aperture may take.
+_MOST_AT_APERTURE = 6 << 30
 
 
 class TracedLens:
@@ -190,6 +192,7 @@ class TracedLens:
                 lambda radius: (of(radius).columns, of(radius).rows),
                 away,
                 probe.aperture_radius,
+                most=_MOST_AT_APERTURE,
                 also="ask for less accuracy",
             )
             aperture = of(probe.aperture_radius)
