@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import torch
-from traced_cases import PROBE_FOCAL, WAVELENGTH, Case, bare, finer, picture, planned, traced
+from traced_cases import MIRROR, PROBE_FOCAL, WAVELENGTH, Case, bare, finer, picture, planned, traced
 
 from tapetum.bench import load_scene, with_values
 from tapetum.errors import InputError
@@ -33,27 +33,24 @@ LENSES: list[tuple[str, float, dict[str, tuple[float, float]]]] = [
 ]
 
 
-def test_samples_on_the_way_out_err_by_less_than_sampling_states(validated: Any) -> None:
-    """Efforts hardly differed in them, so that a comparison of two did not see how the rim's light was damped."""
+def test_samples_on_the_way_out_hold_the_light_of_the_rim(validated: Any) -> None:
+    """They once damped it, by 0.007 of the peak here, and no comparison of two efforts saw that."""
     case = Case("zoom-18-140mm", 1.06, 3.0, 0.135, curvature=1 / 5.5)
-    output, accuracy = Grid(800, 800, 2.2e-6), 0.02
+    output, accuracy = Grid(200, 200, 8.8e-6), 0.02
     window = math.hypot(output.width, output.height) / 2 / PROBE_FOCAL
     reach = traced(case)[1].aperture[1]
     aperture = ProbeAperture.behind_traced(5.5, 12.5e-3, WAVELENGTH, window, reach=reach, accuracy=accuracy)
-    group = planned(case, output, accuracy, pictures=1, aperture=aperture)
-    (one,) = group.passes
+    scene = traced_light.traced_scene(
+        *traced(case), output, wavelength=WAVELENGTH, probe_focal_length=PROBE_FOCAL, curvature=1 / 5.5,
+        aperture=aperture,
+    )  # fmt: skip
+    one = traced_plan._made(scene, traced_light.followed(scene, accuracy), MIRROR, traced_plan._LADDER[7])
     more = replace(one.grids, leaving=2 * one.grids.leaving)
     better = TracedPass(one.fits, more, one.surface, one.path, wavelength=WAVELENGTH, accepted=one.accepted)
     tilts = case.steepest * torch.tensor([[0.0, 0.0], [0.08, 0.1], [0.65, 0.65]], dtype=torch.float64)
     ours, want = one(tilts), better(tilts)
     error = float(((ours - want).abs().amax((1, 2)) / want.amax((1, 2))).max())
-    scene = traced_light.traced_scene(
-        *traced(case), output, wavelength=WAVELENGTH, probe_focal_length=PROBE_FOCAL, curvature=1 / 5.5,
-        aperture=aperture,
-    )  # fmt: skip
-    stated = group.plan.expected_error - traced_light.followed(scene, accuracy).unsure
-    what = f"twice the samples on the way out, {case}, {accuracy:g} of the peak"
-    validated(SECTION, what, error / stated, 1.0, "itself", "of what sampling states")
+    validated(SECTION, f"twice the samples on the way out, {case}", error, 0.004, "itself")
 
 
 @pytest.mark.parametrize("changes", [{"sampling.accuracy": 1e-300}, {"probe.lens.aperture_radius": 0.08}])
@@ -126,6 +123,28 @@ def test_the_stated_error_holds(validated: Any) -> None:
     assert len(ratios) >= 8
     validated(SECTION, "measured over stated error, 12 random lenses, gazes and focuses", max(ratios), 1.0,
               "a window two or six times as wide, and finer samples", "of the stated error")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("case", "accuracy"),
+    [
+        (Case("compact-6mm-f1.9", 8.0, f_number=7.32), 0.01),
+        (Case("phone-e", 5.0, 2.0, f_number=4.22), 0.03),
+        (Case("phone-d", 1.28, 2.0), 0.01),
+    ],
+    ids=str,
+)
+def test_the_stated_error_holds_at_every_tilt(case: Case, accuracy: float, validated: Any) -> None:
+    """Errors rise and fall with the tilt, and three tilts, compared with one finer sampling, once missed the worst."""
+    output = picture(case, 31)
+    one = planned(case, output, accuracy, pictures=1)
+    sines = torch.linspace(0, 0.6 * case.steepest, 25, dtype=torch.float64)
+    tilts = torch.stack([0.54 * sines, -0.84 * sines], -1)
+    ours = one.field(tilts).to(torch.complex128).abs() ** 2
+    better = finer(one.passes[0], output, 1.3, window=6.0, leaving=4.0).field(tilts).abs() ** 2
+    error = float(((ours - better).abs().amax((1, 2)) / better.amax((1, 2))).max())
+    what = f"measured over stated error, worst of 25 tilts, {case}, {accuracy:g} of the peak"
+    validated(SECTION, what, error / one.plan.expected_error, 1.0, "a window six times as wide", "of the stated error")
 
 
 @pytest.mark.slow
