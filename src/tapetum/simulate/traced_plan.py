@@ -86,6 +86,9 @@ _MOVED, _SHARES = (0.3, -0.2), (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 _PAYS_FROM = 300
 # Share of the accuracy by which fewer samples may change a picture: tilts that are not tried may change by more.
 _CHANGED = 0.15
+# Claimed error over the largest difference at these tilts to the finer pass of a step that is accurate enough, and what
+# that pass itself is given, over the differences that the step was judged by. Coarser steps that are tried then.
+_NEAR, _OWN, _COARSER = 1.25, 1.5, 2
 # Share of a step's samples of the sensor that still holds all light, and samples on the way out over those at which
 # copies of the picture touch it.
 _OF_SENSOR, _ASIDE = 0.85, 1.2
@@ -260,7 +263,7 @@ def traced_mask(
 
 
 class _Attempt:
-    """A pass and its pictures [B, H, W] at the tilts tried, or its fields: most where the first ones are near enough."""
+    """A pass and its pictures [B, H, W], or fields, at the tilts tried: at most of them once the first are near."""
 
     def __init__(self, one: TracedPass, seen: _Seen, tried: torch.Tensor) -> None:
         self.one, self._seen, self._tried = one, seen, tried
@@ -418,7 +421,8 @@ def _thinned(
     """A step with as few samples as change no picture beyond the accuracy.
 
     A step sets all its samples by one effort, most by far for the rings kept: which of them a lens needs is measured
-    against the finer pass that the step was measured by, at more tilts, and in a picture that is moved.
+    against the finer pass that the step was measured by, at more tilts, and in a picture that is moved. Against that
+    pass, finer than their own, coarser steps err by less than they could be sure of.
     """
     tilts = torch.cat([tried, light.bright * torch.tensor(_ALSO_TRIED, dtype=torch.float64)])
     centres = torch.zeros(len(tilts), 2, dtype=torch.float64)
@@ -427,12 +431,24 @@ def _thinned(
     def at(one: TracedPass, some: Sequence[int] | slice) -> torch.Tensor:
         return seen(one, tilts[some], centres[some])
 
-    also, grids = slice(len(tried), None), found.usual.grids
+    also = slice(len(tried), None)
     usual, best = (
         torch.cat([image, at(one, also)]) for image, one in zip(found.seen, (found.usual, found.finer), strict=True)
     )
+    own = _OWN / _SAFETY * found.error
+
+    def claim(images: torch.Tensor, finer: torch.Tensor) -> torch.Tensor:
+        return _NEAR * _each_apart(images, finer) + own
+
+    for number in range(max(found.step - _COARSER, 0), found.step):
+        one = _made(scene, light, surface, _LADDER[number])
+        images = at(one, slice(None))
+        if (error := float(claim(images, best).max())) <= accuracy:
+            found, usual = replace(found, step=number, usual=one, error=error), images
+            break
+    grids = found.usual.grids
     # Where the step errs by more than is asked for, no claim is made.
-    claimed = _each_apart(usual, best) <= accuracy / _SAFETY
+    claimed = claim(usual, best) <= accuracy
     # Copies of the picture must stay beside it.
     reach = 2 * light.fits.aperture[1] * (_angle(light) + scene.seen) / scene.wavelength
     apart = min(grids.leaving, math.ceil(_ASIDE * reach))
@@ -449,8 +465,8 @@ def _thinned(
             if not float(changed[worst]) <= _CHANGED * accuracy:
                 order.insert(0, order.pop(order.index(some[worst])))
                 return math.inf
-            error = max(error, float(torch.where(claimed[some], _each_apart(image, best[some]), 0.0).max()))
-        return _SAFETY * error
+            error = max(error, float(torch.where(claimed[some], claim(image, best[some]), 0.0).max()))
+        return error
 
     def fewest(at_share: Callable[[float], TracedGrids], step: _Step) -> _Step:
         for share in _SHARES:
