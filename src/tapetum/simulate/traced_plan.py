@@ -55,8 +55,8 @@ _LADDER = (
 )
 # Claimed error over the largest difference between an effort and the next two, of which the second keeps twice as many
 # rings. As the rims of the entering and the leaving pupil part, errors rise and fall within a twentieth of the steepest
-# tilt: of 14 to 25 tilts of 144 random lenses the worst one's error is 1.4 times the difference in the median, 3.2 at
-# most.
+# tilt: the worst one's error is 1.3 times the largest difference at six tilts in the median of 232 random lenses, and
+# 2.6 times or less in 97 %.
 _SAFETY = 3.0
 # Tilts tried, in fractions of the steepest, those first that refuse most efforts.
 _TRIED = ((0.0, 0.0), (0.1, 0.125), (0.65, 0.65), (-0.06, -0.08), (-0.24, 0.18), (0.3, -0.4))
