@@ -137,14 +137,17 @@ def test_the_stated_error_holds(validated: Any) -> None:
 def test_the_stated_error_holds_at_every_tilt(case: Case, accuracy: float, validated: Any) -> None:
     """Errors rise and fall with the tilt, and three tilts, compared with one finer sampling, once missed the worst."""
     output = picture(case, 31)
-    one = planned(case, output, accuracy, pictures=1)
     sines = torch.linspace(0, 0.6 * case.steepest, 25, dtype=torch.float64)
     tilts = torch.stack([0.54 * sines, -0.84 * sines], -1)
-    ours = one.field(tilts).to(torch.complex128).abs() ** 2
+    one, many = (planned(case, output, accuracy, pictures=pictures) for pictures in (1, 1000))
     better = finer(one.passes[0], output, 1.3, window=6.0, leaving=4.0).field(tilts).abs() ** 2
-    error = float(((ours - better).abs().amax((1, 2)) / better.amax((1, 2))).max())
+    ratio = 0.0
+    for group in (one, many):
+        ours = group.field(tilts).to(torch.complex128).abs() ** 2
+        error = float(((ours - better).abs().amax((1, 2)) / better.amax((1, 2))).max())
+        ratio = max(ratio, error / group.plan.expected_error)
     what = f"measured over stated error, worst of 25 tilts, {case}, {accuracy:g} of the peak"
-    validated(SECTION, what, error / one.plan.expected_error, 1.0, "a window six times as wide", "of the stated error")
+    validated(SECTION, what, ratio, 1.0, "a window six times as wide", "of the stated error")
 
 
 @pytest.mark.slow
