@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -211,6 +212,18 @@ def test_an_accuracy_out_of_reach_is_refused_with_one_within() -> None:
     with pytest.raises(InputError, match="ask for") as refused:
         planned(case, picture(case, 21), 1e-7)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("f_number", [4.5, 7.3])
+def test_an_accuracy_that_sampling_names_is_enough(f_number: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was twice the error at three tilts, rounded, and refused again where the other tilts' was more than that."""
+    monkeypatch.setattr(traced_plan, "_LADDER", traced_plan._LADDER[:3])
+    case = Case("compact-6mm-f1.9", 8.0, f_number=f_number)
+    output = picture(case, 21)
+    with pytest.raises(InputError, match="is not reached with") as refused:
+        planned(case, output, 1e-3, pictures=1)
+    (named,) = re.findall(r"ask for ([\d.e-]+) or more", str(refused.value))
+    assert 0.9 * float(named) < planned(case, output, float(named), pictures=1).plan.expected_error < 1.1 * float(named)
 
 
 def test_a_scene_is_rendered_with_its_claim() -> None:

@@ -15,7 +15,7 @@ from tapetum.optics.grid import Grid
 from tapetum.simulate import retroreflect, traced_return
 from tapetum.simulate.probe_path import ProbeAperture
 from tapetum.simulate.pupil_fits import TiltNodes, fit_pupils
-from tapetum.simulate.traced_light import Way, _rounded_up, followed, traced_scene
+from tapetum.simulate.traced_light import Way, accuracy_above, followed, traced_scene
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
 SECTION = "Traced lenses"
@@ -221,4 +221,4 @@ def test_a_correction_keeps_the_waves_beyond_the_rays(monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize(("error", "asked"), [(0.1125, 0.12), (0.1, 0.1), (0.0349, 0.035), (1.01e-3, 1.1e-3)])
 def test_the_accuracy_that_a_refusal_names_is_enough(error: float, asked: float) -> None:
-    assert _rounded_up(error) == pytest.approx(asked) and _rounded_up(error) >= error
+    assert accuracy_above(error) == pytest.approx(asked) and accuracy_above(error) >= error

@@ -25,6 +25,7 @@ __all__ = [
     "TracedLight",
     "TracedScene",
     "Way",
+    "accuracy_above",
     "any_angle",
     "followed",
     "in_air",
@@ -193,7 +194,7 @@ def in_air(scene: TracedScene, surface: Surface) -> tuple[TracedScene, Surface]:
     return replace(scene, focused=focused, fits=fits), surface
 
 
-def _rounded_up(error: float) -> float:
+def accuracy_above(error: float) -> float:
     """An error to two digits that is no smaller: what may be asked for instead."""
     digit = 10 ** (math.floor(math.log10(error)) - 1)
     return math.ceil(error / digit) * digit
@@ -240,7 +241,9 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
             pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
     if not by_rays:
         accepted = None
-    coarser = f"ask for an accuracy of {_rounded_up(unsure):g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
+    coarser = (
+        f"ask for an accuracy of {accuracy_above(unsure):g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
+    )
     if unsure > allowed:
         raise InputError(
             f"light does not come back the way it went, by {unsure / 2 / math.pi:.2g} waves",
@@ -257,7 +260,8 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
             raise InputError(
                 f"the probe is so near that the way to its aperture is known to {missed:.2g} of the peak only",
                 where="distance",
-                remedy=f"ask for an accuracy of {_rounded_up(missed):g}, move the probe away, or narrow its aperture",
+                remedy=f"ask for an accuracy of {accuracy_above(missed):g}, move the probe away, or narrow its "
+                "aperture",
             )
         unsure += missed
     # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for

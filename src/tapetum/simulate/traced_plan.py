@@ -25,7 +25,16 @@ from tapetum.optics.sampling import Plan
 from tapetum.simulate.faint import FAINT
 from tapetum.simulate.pupil_fits import PupilFits, chebyshev
 from tapetum.simulate.surfaces import Mask, Surface
-from tapetum.simulate.traced_light import TracedLight, TracedScene, Way, any_angle, followed, in_air, traced_scene
+from tapetum.simulate.traced_light import (
+    TracedLight,
+    TracedScene,
+    Way,
+    accuracy_above,
+    any_angle,
+    followed,
+    in_air,
+    traced_scene,
+)
 from tapetum.simulate.traced_pass import AT_ONCE_BYTES, TracedGrids, TracedPass
 
 __all__ = ["TracedGroup", "TracedMask", "TracedPlan", "traced_group", "traced_mask"]
@@ -58,7 +67,7 @@ _LADDER = (
 # tilt: the worst one's error is 1.3 times the largest difference at six tilts in the median of 232 random lenses, and
 # 2.6 times or less in 97 %.
 _SAFETY = 3.0
-# Tilts tried, in fractions of the steepest, those first that refuse most efforts.
+# Tilts tried, in fractions of the steepest: the first of them of every effort, the others of those that they allow.
 _TRIED = ((0.0, 0.0), (0.1, 0.125), (0.65, 0.65), (-0.06, -0.08), (-0.24, 0.18), (0.3, -0.4))
 _FIRST = 3
 # Share of the accuracy asked for that sampling may take, however much of it the paths' error takes.
@@ -74,6 +83,7 @@ _DETAILS = 2.5
 _BETWEEN = 1.5
 # Rings of the spot that reach a mask beside it, at least: as many as count where a sensor ends.
 _RINGS_BESIDE = 30
+# Limits of time and memory.
 _MOST_PUPIL, _MOST_SENSOR = 3328, 4096
 # Widest fade at the window's edge, in Fresnel zones √(λf): near the axis the phase of the light that the rims diffract
 # is stationary, and half of a wide fade over it turns that light's phase more than leaving it out does.
@@ -82,7 +92,7 @@ _FADE = 0.7
 # moved by this fraction of its width and height. Shares of a step's samples that are tried, the fewest first.
 _ALSO_TRIED = ((0.01, 0.02), (-0.2, 0.1), (0.98, 0.0), (0.3, -0.4))
 _MOVED, _SHARES = (0.3, -0.2), (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-# Pictures from which on the search for fewer samples pays: what it takes is saved by 300 to 1,000 of them.
+# Pictures from which on the search for fewer samples pays: what it takes is saved by one to two hundred of them.
 _PAYS_FROM = 300
 # Share of the accuracy by which fewer samples may change a picture: tilts that are not tried may change by more.
 _CHANGED = 0.15
@@ -382,7 +392,7 @@ def _climbed(
     too many samples, the best one whose error is within what is `allowed`.
     """
     steps: list[_Attempt] = []
-    error, best = math.inf, None
+    best: _Step | None = None
     for number, effort in enumerate(_LADDER[first:], first):
         try:
             one = made(effort)
@@ -402,10 +412,12 @@ def _climbed(
                 return best
     if best is not None:
         return best
+    error = _changed([attempt.all for attempt in steps], least)
+    coarser = f"ask for {accuracy_above(error):g} or more, or " if math.isfinite(error) else ""
     raise InputError(
         f"{accuracy:.2g} of the peak is not reached with {steps[0].one.grids.pupil} samples over the pupil",
         where="sampling.accuracy",
-        remedy=f"ask for {2 * error:.1g} or more, or stop the lens down with f_number",
+        remedy=f"{coarser}stop the lens down with f_number",
     )
 
 
@@ -421,8 +433,8 @@ def _thinned(
     """A step with as few samples as change no picture beyond the accuracy.
 
     A step sets all its samples by one effort, most by far for the rings kept: which of them a lens needs is measured
-    against the finer pass that the step was measured by, at more tilts, and in a picture that is moved. Against that
-    pass, finer than their own, coarser steps err by less than they could be sure of.
+    against the finer pass that the step was measured by, at more tilts, and in a picture that is moved. A coarser step
+    may do, too: that pass shows its error better than the coarser ones did by which it was refused.
     """
     tilts = torch.cat([tried, light.bright * torch.tensor(_ALSO_TRIED, dtype=torch.float64)])
     centres = torch.zeros(len(tilts), 2, dtype=torch.float64)
@@ -446,9 +458,9 @@ def _thinned(
         if (error := float(claim(images, best).max())) <= accuracy:
             found, usual = replace(found, step=number, usual=one, error=error), images
             break
+    else:
+        found = replace(found, error=max(found.error, float(claim(usual, best).max())))
     grids = found.usual.grids
-    # Where the step errs by more than is asked for, no claim is made.
-    claimed = claim(usual, best) <= accuracy
     # Copies of the picture must stay beside it.
     reach = 2 * light.fits.aperture[1] * (_angle(light) + scene.seen) / scene.wavelength
     apart = min(grids.leaving, math.ceil(_ASIDE * reach))
@@ -456,7 +468,7 @@ def _thinned(
     order = list(range(len(tilts)))
 
     def error_of(one: TracedPass) -> float:
-        """Largest error where one is claimed; infinite once a picture changes too much."""
+        """Largest error; infinite once a picture changes too much."""
         error = 0.0
         for some in (order[:1], order[1:3], order[3:]):
             image = at(one, some)
@@ -465,7 +477,7 @@ def _thinned(
             if not float(changed[worst]) <= _CHANGED * accuracy:
                 order.insert(0, order.pop(order.index(some[worst])))
                 return math.inf
-            error = max(error, float(torch.where(claimed[some], claim(image, best[some]), 0.0).max()))
+            error = max(error, float(claim(image, best[some]).max()))
         return error
 
     def fewest(at_share: Callable[[float], TracedGrids], step: _Step) -> _Step:
