@@ -86,11 +86,9 @@ def test_a_hand_is_calibrated_by_the_page_and_points_where_the_mouse_is(
     with opened(chromium, f"{exhibit}#exhibit") as page:
         page.wait_for_selector("#self-line", state="visible", timeout=WAIT)
         page.select_option("#calibrate-marks", "4")
-        begun = time.monotonic()
         page.click("#calibrate button[type=submit]")
-        page.wait_for_selector("#step:text('Mark 1 of 4')", timeout=WAIT)
+        page.wait_for_selector("#step:text('of 4')", timeout=WAIT)
         page.wait_for_selector("#step:text('Calibrated')", timeout=WAIT)
-        assert time.monotonic() - begun < 25
         error = float(page.locator("#error-px").inner_text().split()[0])
         assert error < 60 and "°" in page.locator("#error-deg").inner_text()
         box = page.locator("#stage").bounding_box()
@@ -100,13 +98,14 @@ def test_a_hand_is_calibrated_by_the_page_and_points_where_the_mouse_is(
             x, y = (float(one.split()[0]) for one in page.locator("#pointing li span").last.inner_text().split(","))
             return x / box["width"], y / box["height"]
 
-        for _ in range(12):
+        end = time.monotonic() + WAIT / 1000
+        there = False
+        while not there and time.monotonic() < end:
             for step in (0, 1):
                 page.mouse.move(box["x"] + 0.75 * box["width"] + step, box["y"] + 0.3 * box["height"])
                 time.sleep(0.1)
             x, y = pointed()
-            if there := abs(x - 0.75) < 0.08 and abs(y - 0.3) < 0.1:
-                break
+            there = abs(x - 0.75) < 0.08 and abs(y - 0.3) < 0.1
         assert there, f"the hand points at {x:.2f}, {y:.2f}"
         # By keyboard, too: the hand goes to the left.
         page.focus("#stage")
@@ -161,7 +160,8 @@ def test_alerts_are_shown_and_acknowledged_and_the_source_is_recorded(chromium: 
         page.keyboard.press("4")
         page.wait_for_selector("#view-guard:not([hidden])", timeout=WAIT)
         assert page.locator("#tab-guard").get_attribute("aria-current") == "page"
-        assert page.locator(".rule").count() == 2 and "on guard" in page.locator(".rule").first.inner_text()
+        page.wait_for_selector(".rule:has-text('on guard')", timeout=WAIT)
+        assert page.locator(".rule").count() == 2
         until(page, "document.querySelector('.alert-row img')?.naturalWidth > 0")
         page.locator(".alert-row button").first.click()
         until(page, "document.querySelectorAll('.alert-row.done').length === 1")

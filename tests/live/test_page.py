@@ -30,11 +30,12 @@ def test_the_page_shows_cameras_ignores_one_and_returns_after_a_restart(
         page.goto(address)
         until(page, "document.querySelectorAll('.camera').length >= 2")
         page.wait_for_selector("#connected:text('live')", timeout=WAIT)
-        assert page.locator(".event").count() >= 2
+        # Events follow the state that they led to, by a message of their own each.
+        until(page, "document.querySelectorAll('.event').length >= 2")
         # The picture moves: its marks are drawn where the cameras are now.
         before = page.evaluate("document.getElementById('view').toDataURL()")
         until(page, "b => document.getElementById('view').toDataURL() !== b", before)
-        assert page.evaluate("document.getElementById('view').width") == 640
+        until(page, "document.getElementById('view').width === 640")
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "the page is wider than the window"
         # By keyboard: choose the second camera and ignore it as one of ours.
         chosen = ignore_next(page)
