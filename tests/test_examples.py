@@ -89,7 +89,7 @@ def test_a_fit_by_simulation_finds_the_gaze():
 
 
 def test_two_probes_answer_where_one_cannot():
-    results = example("two_probes").main(["--seconds", "2"])
+    results = example("two_probes").main(["--seconds", "1"])
     answered = {name: frames for name, (_, frames, _) in results.items()}
     assert answered["smoothed, fused"] > max(answered["left probe"], answered["right probe"])
 

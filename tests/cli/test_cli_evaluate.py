@@ -70,6 +70,7 @@ def test_a_scene_stands_where_a_model_does(run, tmp_path: Path, monkeypatch: pyt
     from tapetum.simulate.radiometry import dark_electrons
 
     changes = ["probe.sensor.pixels=[112, 112]", "probe.sensor.pitch=4.4 um", "sampling.accuracy=0.05"]
+    changes += ["target.lens.aperture_radius=2 mm"]
     scene = load_scene("hand-held", [*changes, "second_beam=null"])
     rng = np.random.default_rng(1)
     gazes = rng.uniform(-0.3, 0.3, (6, 2))

@@ -76,7 +76,7 @@ def test_options_of_real_clocks_that_cannot_be(
 def test_a_real_recording_is_aligned_by_its_blinking_and_an_offset(run, tmp_path: Path) -> None:
     """Two videos of one bench, the target's begun 0.4 s later: their own times both count from 0."""
     bench = tmp_path / "bench.rec"
-    assert run("record", "hand-held", "-o", bench, "--seconds", 9, "--blink", 4, "--no-labels", *LITTLE).code == 0
+    assert run("record", "hand-held", "-o", bench, "--seconds", 6, "--blink", 4, "--no-labels", *LITTLE).code == 0
     begun = {}
     for name, skip in (("probe", 0), ("target", 6)):
         frames = list(open_frames(bench, name))[skip:]

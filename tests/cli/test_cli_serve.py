@@ -1,15 +1,9 @@
-"""`tapetum serve`: one run as a person makes it, and what it refuses."""
+"""`tapetum serve`: what it refuses. Runs as a person makes them: `live/test_tutorials.py` and `live/test_rtsp.py`."""
 
 from __future__ import annotations
 
-import json
-import os
-import re
-import signal
 import socket
-import subprocess
 import sys
-import urllib.request
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -19,29 +13,6 @@ import pytest
 
 from tapetum.cli.serve import _bound, _hosts
 from tapetum.durable import sole_writer
-
-
-def test_the_demo_is_served_until_it_is_stopped(tmp_path: Path) -> None:
-    """By the signal that services are stopped by; `live/test_rtsp.py` stops a watch by Ctrl-C's."""
-    command = [sys.executable, "-m", "tapetum", "serve", "demo", "--port", "0", "--log", str(tmp_path / "log.db")]
-    said = {**os.environ, "PYTHONUNBUFFERED": "1"}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=said)
-    try:
-        assert process.stdout is not None and process.stderr is not None
-        line = process.stdout.readline()
-        found = re.fullmatch(r"watching demo: (http://127\.0\.0\.1:\d+/)\n", line)
-        assert found, line + process.stderr.read()
-        # Not by a proxy of the machine's.
-        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-        with opener.open(f"{found[1]}api/state", timeout=30) as answer:
-            assert json.load(answer)["source"] == "demo"
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(30) == 0
-        assert process.stderr.read() == ""
-    finally:
-        process.kill()
-        process.wait()
-    assert (tmp_path / "log.db").exists()
 
 
 @pytest.mark.parametrize(

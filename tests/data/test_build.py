@@ -167,7 +167,7 @@ def test_a_simulated_recording_is_known_as_one(tmp_path: Path, film):
     from tapetum.record import film as film_scene
     from tapetum.report.evaluation.outcome import _covariates, _simulated
 
-    recording = film_scene(little_scene(), tmp_path / "sim.rec", shortened(Session(seed=4), 2.0))
+    recording = film_scene(little_scene(), tmp_path / "sim.rec", shortened(Session(seed=4), 1.2))
     label_recording(recording)
     for path, simulated in ((recording.path, True), (film("real.rec"), None)):
         dataset = open_dataset(build_dataset([path], path.with_suffix(".zarr"), side=40))

@@ -223,8 +223,9 @@ def test_a_frame_of_the_target_is_made_once_for_all_parts(monkeypatch):
 
 def test_labels_of_a_whole_video_stand_with_every_frame(tmp_path: Path):
     plan = focusing_plan(little_scene())
-    videos = tuple(replace(one, session=replace(one.session, seconds=2.0)) for one in plan.videos[4:6])
-    dataset = open_dataset(synthesise(replace(plan, videos=videos, rules=Rules(side=24)), tmp_path / "set.zarr"))
+    videos = tuple(replace(one, session=replace(one.session, seconds=1.0)) for one in plan.videos[4:6])
+    plan = replace(plan, videos=videos, rules=Rules(side=24, test_fraction=0))
+    dataset = open_dataset(synthesise(plan, tmp_path / "set.zarr"))
     assert dataset.tp.targets == ("gaze_x", "gaze_y", "object_distance", "focal_length")
     distance = np.array([5.0, 5.5], np.float32)[dataset["recording"].values]
     np.testing.assert_array_equal(dataset["object_distance"].values, distance)
@@ -232,7 +233,7 @@ def test_labels_of_a_whole_video_stand_with_every_frame(tmp_path: Path):
 
 
 def test_devices_are_classes(tmp_path: Path):
-    plan = little_plan(seconds=2.0)
+    plan = replace(little_plan(seconds=1.0), rules=Rules(side=40, test_fraction=0))
     names = ("phone-02", "phone-01")
     videos = tuple(replace(one, labels=(("device", name),)) for one, name in zip(plan.videos, names, strict=True))
     dataset = open_dataset(synthesise(replace(plan, videos=videos), tmp_path / "set.zarr"))

@@ -71,8 +71,8 @@ def test_plans_film_copies_of_every_camera():
 
 def test_a_set_of_units_says_which_is_which(tmp_path: Path):
     plan = SETS["rotation"].plan(little_scene(), "small", 0, Units(2, "thin"))
-    short = tuple(replace(one, session=shortened(one.session, 1.6)) for one in plan.videos[:2])
-    plan = replace(plan, videos=short, rules=Rules(side=40), piece=PIECE)
+    short = tuple(replace(one, session=shortened(one.session, 1.2)) for one in plan.videos[:2])
+    plan = replace(plan, videos=short, rules=Rules(side=40, test_fraction=0), piece=PIECE)
     made = open_dataset(synthesise(plan, tmp_path / "units.zarr"))
     assert made.tp.units == plan.units
     assert np.array_equal(made["unit"].values, made["recording"].values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from tapetum.experiments.pretrain import FRESH_SEED, NEAR_AXIS, TRAIN_SEEDS
 from tapetum.models import load_model
 from tapetum.report import demo_report, html
 from tapetum.report.figures import figure_png
+from tapetum.simulate import sign_dprime
 from tapetum.track import read_tracks
 
 SECONDS = 2.2
@@ -23,8 +25,9 @@ SECONDS = 2.2
 
 def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    # Few gazes in the maps: each is an image in fine sampling. The report's figures with few pixels.
+    # Few gazes in the maps, coarsely: each is an image in fine sampling. The report's figures with few pixels.
     monkeypatch.setattr(demo, "_MAP", (3, 3))
+    monkeypatch.setattr(demo, "sign_dprime", partial(sign_dprime, accuracy=0.01))
     for module in (html, demo_report):
         monkeypatch.setattr(module, "figure_png", lambda figure, dpi=160: figure_png(figure, dpi=40))
     outcome = run_demo(tmp_path / "out", seconds=SECONDS, seed=3, say=said.append)

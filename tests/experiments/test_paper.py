@@ -28,7 +28,7 @@ from tapetum.report.figures import figure_png
 
 SECTION = "The paper's figures"
 # What a traced lens is planned with: widths and peaks are looked at, to some per cent and more.
-ROUGH = "sampling.accuracy=0.3"
+ROUGH = "sampling.accuracy=0.5"
 
 
 @pytest.fixture(scope="module")

@@ -16,12 +16,18 @@ from tapetum.live.app import make_app
 from tapetum.live.loop import Watch
 from tapetum.live.modes import Modes
 from tapetum.live.modes.router import LARGEST, modes_router
+from tapetum.record.drawn_room import DrawnRoom
 from tapetum.record.hand import Aim
 
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), ""
 )
 WAIT = 60_000  # ms, at most: a busy machine shows a frame or two a second
+
+
+def slow_room() -> DrawnRoom:
+    """The drawn room at a rate whose search leaves the browser time."""
+    return DrawnRoom(rate=8.0)
 
 
 @contextlib.contextmanager

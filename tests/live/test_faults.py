@@ -12,7 +12,7 @@ import numpy as np
 import psutil
 import pytest
 from tests.live.conftest import Scripted
-from tests.live.pages import free_port, serving
+from tests.live.pages import free_port, serving, slow_room
 
 from tapetum.live.loop import Watch
 from tapetum.live.modes import Modes
@@ -113,7 +113,7 @@ def test_an_hour_of_frames_leaves_memory_flat() -> None:
 
 def test_the_page_keeps_no_memory_of_long_watches(chromium: Any) -> None:
     """Thousands of messages, cameras and pictures come; what the page holds stays bounded."""
-    with serving(free_port(), Watch(DrawnRoom)) as address:
+    with serving(free_port(), Watch(slow_room)) as address:
         page = chromium.new_page(viewport={"width": 1000, "height": 800})
         page.goto(address)
         page.wait_for_selector(".camera", timeout=30_000)

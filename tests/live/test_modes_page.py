@@ -10,7 +10,7 @@ from typing import Any
 
 import cv2
 import pytest
-from tests.live.pages import CHROMIUM, WAIT, free_port, serving, until
+from tests.live.pages import CHROMIUM, WAIT, free_port, serving, slow_room, until
 
 from tapetum.live import guide
 from tapetum.live.guard import Guard
@@ -38,6 +38,59 @@ def opened(chromium: Any, address: str, width: int = 1400) -> Iterator[Any]:
     assert not faults
 
 
+def test_alerts_are_shown_and_acknowledged_and_the_source_is_recorded(chromium: Any, tmp_path: Path) -> None:
+    rules = "schema: tapetum/rules/1\nrules: [{name: a camera is here}, {name: it images, when: {imaging: true}}]"
+    watch = Watch(slow_room, name="demo", guard=Guard(rules_from_text(rules)))
+    with serving(free_port(), watch, lambda one: Modes(one, tmp_path)) as address, opened(chromium, address) as page:
+        # Two cameras, or more where a busy machine's watch loses one and finds it again.
+        until(page, "Number(document.getElementById('waiting').textContent) >= 2")
+        page.keyboard.press("r")
+        page.wait_for_selector("#record.running", timeout=WAIT)
+        # A view by its key.
+        page.keyboard.press("4")
+        page.wait_for_selector("#view-guard:not([hidden])", timeout=WAIT)
+        assert page.locator("#tab-guard").get_attribute("aria-current") == "page"
+        page.wait_for_selector(".rule:has-text('on guard')", timeout=WAIT)
+        assert page.locator(".rule").count() == 2
+        until(page, "document.querySelector('.alert-row img')?.naturalWidth > 0")
+        page.locator(".alert-row button").first.click()
+        until(page, "document.querySelectorAll('.alert-row.done').length === 1")
+        rows = "document.querySelectorAll('.alert-row:not(.done)').length"
+        until(page, f"Number(document.getElementById('waiting').textContent) === {rows}")
+        assert "a camera is here" in page.locator("#alert-now").inner_text()
+        until(page, "Number(document.getElementById('record').title.match(/: (\\d+) frames/)?.[1]) >= 10")
+        page.click("#record")
+        page.wait_for_selector("#record:text('Record')", timeout=WAIT)
+    (made,) = tmp_path.glob("*.rec")
+    assert len(list(open_recording(made).source("probe"))) >= 10
+
+
+def test_a_pair_of_pictures_is_searched_and_a_walk_mapped(chromium: Any, tmp_path: Path) -> None:
+    room = DrawnRoom()
+    for name, lit in (("lit.png", True), ("dark.jpg", False)):
+        cv2.imwrite(str(tmp_path / name), room.picture(1.0, lit=lit))
+    (tmp_path / "no.png").write_bytes(b"nothing")
+    with serving(free_port(), Watch(slow_room, name="demo")) as address, opened(chromium, f"{address}#scan") as page:
+        assert "no candidate does not mean no camera" in page.locator("#range").inner_text()
+        page.set_input_files("#lit", tmp_path / "lit.png")
+        page.set_input_files("#dark", tmp_path / "dark.jpg")
+        page.click("#send")
+        page.wait_for_selector("#found-title:text('2 worth a look')", timeout=WAIT)
+        until(
+            page, "[...document.querySelectorAll('.tile.likely img')].filter(one => one.naturalWidth > 0).length === 4"
+        )
+        until(page, "document.getElementById('found-view').width === 640")
+        page.set_input_files("#lit", tmp_path / "no.png")
+        page.click("#send")
+        page.wait_for_selector("#upload-say:text('is no JPEG')", timeout=WAIT)
+        page.click("#walk")
+        page.wait_for_selector("#walk:text('End')", timeout=WAIT)
+        until(page, "document.querySelectorAll('#sightings li').length >= 2")
+        page.wait_for_selector("#walk-say:text('was seen for long enough')", timeout=WAIT)
+        page.click("#walk")
+        page.wait_for_selector("#advice:text('Ended')", timeout=WAIT)
+
+
 class _Looks:
     """Stands for a model of gaze that takes no time: it reads the gaze that the simulated hand had, with noise."""
 
@@ -63,7 +116,7 @@ class _Looks:
 
 @pytest.fixture(scope="module")
 def exhibit(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A served watch of one simulated hand."""
+    """A served watch of one simulated hand, which moves on until the file's last test: no other follows these."""
     aim, hands = Aim(), []
     aim.patience = 60.0
 
@@ -146,56 +199,3 @@ def test_a_vote_is_asked_counted_ended_and_replayed(chromium: Any, exhibit: str,
         page.focus("#replay-at")
         page.keyboard.press("ArrowLeft")
         until(page, "[...document.querySelectorAll('#tally b')].map(one => one.textContent).join() === '1,0'")
-
-
-def test_alerts_are_shown_and_acknowledged_and_the_source_is_recorded(chromium: Any, tmp_path: Path) -> None:
-    rules = "schema: tapetum/rules/1\nrules: [{name: a camera is here}, {name: it images, when: {imaging: true}}]"
-    watch = Watch(DrawnRoom, name="demo", guard=Guard(rules_from_text(rules)))
-    with serving(free_port(), watch, lambda one: Modes(one, tmp_path)) as address, opened(chromium, address) as page:
-        # Two cameras, or more where a busy machine's watch loses one and finds it again.
-        until(page, "Number(document.getElementById('waiting').textContent) >= 2")
-        page.keyboard.press("r")
-        page.wait_for_selector("#record.running", timeout=WAIT)
-        # A view by its key.
-        page.keyboard.press("4")
-        page.wait_for_selector("#view-guard:not([hidden])", timeout=WAIT)
-        assert page.locator("#tab-guard").get_attribute("aria-current") == "page"
-        page.wait_for_selector(".rule:has-text('on guard')", timeout=WAIT)
-        assert page.locator(".rule").count() == 2
-        until(page, "document.querySelector('.alert-row img')?.naturalWidth > 0")
-        page.locator(".alert-row button").first.click()
-        until(page, "document.querySelectorAll('.alert-row.done').length === 1")
-        rows = "document.querySelectorAll('.alert-row:not(.done)').length"
-        until(page, f"Number(document.getElementById('waiting').textContent) === {rows}")
-        assert "a camera is here" in page.locator("#alert-now").inner_text()
-        time.sleep(0.5)
-        page.click("#record")
-        page.wait_for_selector("#record:text('Record')", timeout=WAIT)
-    (made,) = tmp_path.glob("*.rec")
-    assert len(list(open_recording(made).source("probe"))) >= 10
-
-
-def test_a_pair_of_pictures_is_searched_and_a_walk_mapped(chromium: Any, tmp_path: Path) -> None:
-    room = DrawnRoom()
-    for name, lit in (("lit.png", True), ("dark.jpg", False)):
-        cv2.imwrite(str(tmp_path / name), room.picture(1.0, lit=lit))
-    (tmp_path / "no.png").write_bytes(b"nothing")
-    with serving(free_port(), Watch(DrawnRoom, name="demo")) as address, opened(chromium, f"{address}#scan") as page:
-        assert "no candidate does not mean no camera" in page.locator("#range").inner_text()
-        page.set_input_files("#lit", tmp_path / "lit.png")
-        page.set_input_files("#dark", tmp_path / "dark.jpg")
-        page.click("#send")
-        page.wait_for_selector("#found-title:text('2 worth a look')", timeout=WAIT)
-        until(
-            page, "[...document.querySelectorAll('.tile.likely img')].filter(one => one.naturalWidth > 0).length === 4"
-        )
-        until(page, "document.getElementById('found-view').width === 640")
-        page.set_input_files("#lit", tmp_path / "no.png")
-        page.click("#send")
-        page.wait_for_selector("#upload-say:text('is no JPEG')", timeout=WAIT)
-        page.click("#walk")
-        page.wait_for_selector("#walk:text('End')", timeout=WAIT)
-        until(page, "document.querySelectorAll('#sightings li').length >= 2")
-        page.wait_for_selector("#walk-say:text('was seen for long enough')", timeout=WAIT)
-        page.click("#walk")
-        page.wait_for_selector("#advice:text('Ended')", timeout=WAIT)

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.live.pages import CHROMIUM, WAIT, free_port, serving, until
+from tests.live.pages import CHROMIUM, WAIT, free_port, serving, slow_room, until
 
 from tapetum.live.log import Log
 from tapetum.live.loop import Watch
-from tapetum.record.drawn_room import DrawnRoom
 
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="Chromium is not installed: apt install chromium")
 
@@ -26,7 +25,7 @@ def test_the_page_shows_cameras_ignores_one_and_returns_after_a_restart(
     # Nothing that the strict policy forbids is tried.
     page.on("console", lambda message: faults.append(message.text) if "Content Security" in message.text else None)
     port, log = free_port(), tmp_path / "log.db"
-    with serving(port, Watch(DrawnRoom, name="demo", log=Log(log))) as address:
+    with serving(port, Watch(slow_room, name="demo", log=Log(log))) as address:
         page.goto(address)
         until(page, "document.querySelectorAll('.camera').length >= 2")
         page.wait_for_selector("#connected:text('live')", timeout=WAIT)
@@ -45,7 +44,7 @@ def test_the_page_shows_cameras_ignores_one_and_returns_after_a_restart(
         page.wait_for_selector(".event:has-text('is gone')", timeout=WAIT)
     page.wait_for_selector("#connected:text('does not answer')", timeout=WAIT)
     known = page.locator(".event").count()
-    with serving(port, Watch(DrawnRoom, name="demo", log=Log(log))):
+    with serving(port, Watch(slow_room, name="demo", log=Log(log))):
         page.wait_for_selector("#connected:text('live')", timeout=WAIT)
         # Its numbers go on with the log's: what happens is added to what was shown.
         until(page, "n => document.querySelectorAll('.event').length > n", known)
@@ -70,7 +69,7 @@ def test_keys_hold_for_cameras_that_come_and_go_between_two_drawings(chromium: A
         press('i');
         return [focused, document.getElementById('refused').textContent];
     }"""
-    with serving(free_port(), Watch(DrawnRoom)) as address:
+    with serving(free_port(), Watch(slow_room)) as address:
         page.goto(address)
         until(page, "document.querySelectorAll('.camera').length >= 1")
         focused, refused = page.evaluate(step)

@@ -19,20 +19,21 @@ from tests.live.rtsp_server import RtspCamera, encoded
 from tapetum.errors import InputError
 from tapetum.record.frames import open_frames
 
-RATE = 20
+# FFmpeg watches twenty frames before it gives the first.
+RATE = 50
 
 
 def _picture(k: int) -> np.ndarray:
     """A dark bench with one return, which sways."""
     image = np.random.default_rng(k).normal(12, 1, (240, 320)).clip(0, 255).astype(np.uint8)
-    x = round(160 + 20 * np.sin(2 * np.pi * k / 40))
+    x = round(160 + 20 * np.sin(2 * np.pi * k / 100))
     image[110:122, x : x + 12] = 210
     return image
 
 
 @pytest.fixture(scope="module")
 def film() -> list[list[bytes]]:
-    return encoded((_picture(k) for k in range(40)), RATE)
+    return encoded((_picture(k) for k in range(100)), RATE)
 
 
 def test_an_rtsp_camera_is_watched_lost_and_found_again(film: list[list[bytes]]) -> None:

@@ -41,7 +41,7 @@ class Hears:
 
 def test_a_shutter_that_opens_on_the_bench_is_an_event_of_that_moment_and_an_alert() -> None:
     changes = {"target.name": "phone-01", "illumination.wavelength": "640 nm", "probe.sensor.pixels": [240, 240]}
-    phone = with_values(load_scene("phones"), {**changes, "sampling.accuracy": 0.1})
+    phone = with_values(load_scene("phones"), {**changes, "sampling.accuracy": 0.3})
     own = next(unit for unit in phone_scenes(phone) if unit.place == (0.0, 0.0))
     imaging = Imaging((CLOSES, OPENS), at_first=True)
     film = Shot(own.scene, Session(SECONDS, 10.0, 7, imaging=imaging, motion=HandMotion(extent=0.05)))

@@ -38,8 +38,8 @@ def blocks(text: str, kind: str) -> list[str]:
 class Asked:
     """A served tutorial: runs its requests, at the port that is free here."""
 
-    def __init__(self, port: int, text: str) -> None:
-        self.base = f"http://127.0.0.1:{port}"
+    def __init__(self, port: int, text: str, process: subprocess.Popen[str]) -> None:
+        self.base, self.process = f"http://127.0.0.1:{port}", process
         self.lines = [
             line for block in blocks(text, "sh") for line in block.strip().splitlines() if line.startswith("curl")
         ]
@@ -88,7 +88,7 @@ def served(title: str, folder: Path) -> Iterator[Asked]:
         assert process.stdout is not None
         line = process.stdout.readline()
         assert "http://" in line, line + process.stdout.read()
-        yield Asked(port, text)
+        yield Asked(port, text, process)
     finally:
         process.terminate()
         process.wait(30)
@@ -108,12 +108,19 @@ def test_watch_a_room(tmp_path: Path) -> None:
 
 
 def test_guard_a_room(tmp_path: Path) -> None:
+    """Ended by the signal that services are stopped by; `test_rtsp.py` ends a watch by Ctrl-C's."""
     with served("Guard a room", tmp_path) as room:
         now = room.until("/api/modes", lambda now: now["guard"]["waiting"] >= 2 and now["guard"])
         assert [one["name"] for one in now["rules"]] == ["a camera is here", "a camera is here at night"]
         assert now["rules"][1]["hours"] == ["06:00 to 22:00, every day"]
         room.run("/api/guard/acknowledged")
         assert room.get("/api/modes")["guard"]["waiting"] == 0
+        assert room.get("/api/state")["source"] == "demo"
+        room.process.terminate()
+        assert room.process.wait(30) == 0 and room.process.stdout is not None
+        # Nothing more is said, on standard error neither.
+        assert room.process.stdout.read() == "Ctrl-C ends it.\n"
+    assert (tmp_path / "guard.db").exists()
 
 
 @pytest.mark.slow

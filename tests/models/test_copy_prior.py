@@ -141,7 +141,7 @@ def moved_copies() -> xr.Dataset:
 
 
 def test_a_network_is_adapted_from_what_copies_differ_by(small: xr.Dataset) -> None:
-    base = NetworkEstimator(epochs=6, **QUICK).fit(small.tp.train, copies=moved_copies())
+    base = NetworkEstimator(epochs=4, **QUICK).fit(small.tp.train, copies=moved_copies())
     images, gaze = pictures(214, seed=11)
     labels = {"gaze_x": 0.6 * gaze[:, 0] + 0.15, "gaze_y": 1.5 * gaze[:, 1] - 0.1}
     data = dataset_from_arrays(images, labels, split=(np.arange(214) >= 14).astype(int))

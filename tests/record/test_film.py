@@ -27,8 +27,10 @@ from tapetum.simulate import Camera, tilt_of_gaze
 def small() -> Scene:
     changes = {"probe.sensor.pixels": [160, 120], "probe.sensor.pitch": 8e-6, "target.sensor.pixels": [324, 243]}
     changes["target.sensor.pitch"] = 17.6e-6
+    # A small aperture, whose images take a fifth of the time.
+    changes["target.lens.aperture_radius"] = 2e-3
     # Larger pixels fill sooner.
-    changes["probe.sensor.exposure"] = 1.5e-5
+    changes["probe.sensor.exposure"] = 4e-5
     return with_values(load_scene("hand-held"), changes)
 
 

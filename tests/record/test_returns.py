@@ -33,7 +33,8 @@ def bench_scene(name: str) -> Scene:
             tp.load_scene("hand-held"), {"target.object_distance": 4.0, "probe.sensor.pixels": [1400, 1200]}
         )
     if name.startswith("focusing"):
-        return next(video.scene for video in make_plan("focusing", "laptop").videos if video.name == name)
+        found = next(video.scene for video in make_plan("focusing", "laptop").videos if video.name == name)
+        return with_values(found, {"sampling.accuracy": 0.3})  # half the time, and windows two pixels wider
     return tp.load_scene(name)
 
 

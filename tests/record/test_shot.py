@@ -137,6 +137,7 @@ def test_a_walk_goes_from_one_distance_to_the_other() -> None:
 
 
 def test_an_automatic_exposure_follows_the_light(small: Scene) -> None:
+    small = with_values(small, {"target.lens.aperture_radius": 2e-3})
     walk = HandMotion(walk=(5.5, 2.75))
     plain, auto = (Shot(small, Session(2.0, motion=walk, exposure=Exposure(follow=f))) for f in (0.0, 1.0))
     assert set(column(plain, "exposure")) == {1.5e-5}

@@ -117,9 +117,9 @@ def test_what_is_said_to_be_unknown_is_how_far_walls_draw_spots_aside() -> None:
         edges = [edge(rng.uniform(0, np.pi), rng.uniform(-6, 6), rng.normal(0, 30)) for _ in range(3)]
         wall = np.sum(edges, axis=0) - 120.0
         grain = gaussian_filter(rng.standard_normal(wall.shape), 2 * FINE)
-        patches, places = filmed(wall + 3 * grain / grain.std(), seed)
+        patches, places = filmed(wall + 3 * grain / grain.std(), seed, 2 * GROUP)
         found, unknown = cleared(patches)
-        noise = NOISE / HEIGHT / np.sqrt(COUNT)
+        noise = NOISE / HEIGHT / np.sqrt(len(patches))
         scores.append((found.places - places).mean(axis=0) / np.hypot(np.median(unknown, axis=0), noise))
     assert 0.9 < np.sqrt(np.mean(np.square(scores))) < 1.8
     assert np.mean(np.abs(scores) < 1.645) > 0.75

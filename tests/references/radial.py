@@ -47,24 +47,25 @@ def middle(lens: Traced, wavelength: float, probe_focal_length: float) -> float:
 
     The error of a window falls with one over its rings: two of them tell what none would leave out.
     """
-    less, more = (_amplitude(lens, 2 * math.pi / wavelength, rings) for rings in _RINGS)
+    less, more = _amplitudes(lens, 2 * math.pi / wavelength)
     return abs((2 * more - less) / (wavelength * probe_focal_length)) ** 2
 
 
-def _amplitude(lens: Traced, k: float, rings: float) -> complex:
+def _amplitudes(lens: Traced, k: float) -> list[complex]:
+    """By each window; the field in the widest serves all."""
     zero = np.zeros(2)
     coarse = _wave(lens, zero, 0.0, 1, 40, k)
     sine = float(np.abs(coarse.direction[:, :2]).max())
     _, spread = _landing(coarse, lens.image)
-    half = spread + rings * math.pi / (k * sine)
+    halves = [spread + rings * math.pi / (k * sine) for rings in _RINGS]
+    half = max(halves)
     turns = k * sine / (2 * math.pi)
     wave = _wave(lens, zero, 0.0, 1, math.ceil(4 * turns * (spread + half) + 40), k)
     nodes, weights = legendre(math.ceil(6 * turns * half + 40))
     place, share = (nodes + 1) / 2 * half, weights * half / 2
-    fade = np.clip(2 * (half - place) / (half - spread), 0, 1)
-    fade = (1 - np.cos(math.pi * fade)) / 2
-    field = _rings(wave.position, wave.strength, wave.path, lens.image, place, k)
-    return complex((field**2 * fade * 2 * math.pi * place * share).sum())
+    summed = _rings(wave.position, wave.strength, wave.path, lens.image, place, k) ** 2 * 2 * math.pi * place * share
+    fades = (np.clip(2 * (one - place) / (one - spread), 0, 1) for one in halves)
+    return [complex((summed * (1 - np.cos(math.pi * fade)) / 2).sum()) for fade in fades]
 
 
 def _rings(position: Real, strength: Real, path: Real, image: float, place: Real, k: float) -> Complex:

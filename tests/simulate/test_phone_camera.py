@@ -126,18 +126,29 @@ def test_one_camera_and_a_phone_open_alike() -> None:
     assert isinstance(open_camera(load_scene("thin-lens"), 0.02, output=Grid(5, 5, 4e-5)), Camera)
 
 
-@pytest.mark.parametrize("accuracy", [0.1, 1e-2])
-def test_windows_hold_what_the_whole_sensor_sees(accuracy: float) -> None:
-    """Each return on its own pixels, against all cameras on all pixels; off the middle, and partly off the sensor."""
-    grid = Grid(145, 145, 8.8e-6)
+def with_second_beam(accuracy: float) -> PhoneCamera:
     beam = {"angle": ["0.06 deg", "-0.05 deg"], "ratio": 0.3}
     scene = phone(several(), **{"sampling.accuracy": accuracy, "illumination.second_beam": beam})
     # As steep as elsewhere here, the second beam included: the lenses are traced once.
-    camera = PhoneCamera(scene, 0.05 - math.radians(math.hypot(0.06, 0.05)), output=grid, device="cpu")
-    assert all(one.output.rows < grid.rows for one, _ in camera.units)
+    steepest = 0.05 - math.radians(math.hypot(0.06, 0.05))
+    return PhoneCamera(scene, steepest, output=Grid(145, 145, 8.8e-6), device="cpu")
+
+
+@pytest.fixture(scope="module")
+def whole() -> PhoneCamera:
+    """All cameras on all pixels, as accurate as any window here."""
+    camera = with_second_beam(1e-2)
     whole = PhoneCamera.__new__(PhoneCamera)
-    whole.scene, whole.output = scene, grid
-    whole.units = [(one.on(grid), unit) for one, unit in camera.units]
+    whole.scene, whole.output = camera.scene, camera.output
+    whole.units = [(one.on(camera.output), unit) for one, unit in camera.units]
+    return whole
+
+
+@pytest.mark.parametrize("accuracy", [0.1, 1e-2])
+def test_windows_hold_what_the_whole_sensor_sees(accuracy: float, whole: PhoneCamera) -> None:
+    """Each return on its own pixels, against all cameras on all pixels; off the middle, and partly off the sensor."""
+    camera = with_second_beam(accuracy)
+    assert all(one.output.rows < camera.output.rows for one, _ in camera.units)
     tilts = TILT.expand(3, 2)
     centres = torch.tensor([[0.0, 0.0], [1.234e-4, -2.5e-4], [6.4e-4, 1e-5]], dtype=torch.float64)
     like = whole(tilts, centres)

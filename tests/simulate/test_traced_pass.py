@@ -249,7 +249,7 @@ def test_a_layer_is_the_sensor_moved(validated: Any) -> None:
     want = bare(nearer, grids, output).field(tilt)[0]
     for index, at in ((1.0, depth), (1.5, 1.5 * depth)):
         surface = Surface(focused.image - depth, depth=at, index=index)
-        error = irradiance_difference(planned(PHONE, output, 1e-2, surface).field(tilt)[0], want)
+        error = irradiance_difference(planned(PHONE, output, 1e-2, surface, pictures=1).field(tilt)[0], want)
         what = f"a layer {at * 1e6:g} µm before the sensor, n = {index:g}, {PHONE}, 2°"
         validated(SECTION, what, error, 2e-2, "the sensor moved by its reduced depth")
 
@@ -259,14 +259,14 @@ def test_a_tilted_layer_is_the_tilted_sensor_moved(validated: Any) -> None:
     depth, a, output, tilt = 50e-6, (0.004, -0.003), picture(PHONE), along_y(2.0)
     focused, _ = traced(PHONE)
     orders = (Order((2 * a[0], 2 * a[1])),)
-    layered = planned(PHONE, output, 3e-2, Surface(focused.image - depth, orders, depth=depth, tilt=a))
+    layered = planned(PHONE, output, 3e-2, Surface(focused.image - depth, orders, depth=depth, tilt=a), pictures=1)
     nearer = fit_pupils(with_mirror_at(focused, depth), PHONE.steepest)
     moved = bare(nearer, layered.passes[0].grids, output, Surface(focused.image - depth, orders, tilt=a))
     want = moved.field(tilt)[0]
     what = f"a layer tilted by (4, -3) mrad 50 µm before the sensor, {PHONE}, 2°"
     error = irradiance_difference(layered.field(tilt)[0], want)
     validated(SECTION, what, error, 1e-3, "the tilted sensor moved there")
-    straight = planned(PHONE, output, 3e-2, Surface(focused.image - depth, depth=depth)).field(tilt)[0]
+    straight = planned(PHONE, output, 3e-2, Surface(focused.image - depth, depth=depth), pictures=1).field(tilt)[0]
     assert irradiance_difference(straight, want) > 0.1
 
 
@@ -277,9 +277,9 @@ def test_planes_interfere() -> None:
 
     def total(depth: float) -> float:
         nearer = Surface(focused.image - depth, depth=depth)
-        return float((planned(PHONE, output, 0.1, mirror, nearer).field(tilt).abs() ** 2).sum())
+        return float((planned(PHONE, output, 0.1, mirror, nearer, pictures=1).field(tilt).abs() ** 2).sum())
 
-    alone = float((planned(PHONE, output).field(tilt).abs() ** 2).sum())
+    alone = float((planned(PHONE, output, pictures=1).field(tilt).abs() ** 2).sum())
     # A quarter of a wave nearer is dark, a half bright: at the angle of the chief ray.
     terms = fits.nodes.terms(tilt[:, 1])
     cosine = math.sqrt(1 - float((terms @ fits.middle) / (terms @ fits.radius)) ** 2)

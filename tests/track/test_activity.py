@@ -128,10 +128,9 @@ def test_faint_departures_of_a_filter_that_passes_little_are_not_taken_for_idle(
 
 def test_tracks_say_what_their_camera_does(tmp_path: Path) -> None:
     states = [True] * 20 + [False] * 20 + [True] * 20
-    frames = [
-        Frame(k, k / 15, noisy(fringed(disc(), 0.6) if on else disc(), seed=k), f"probe[{k}]")
-        for k, on in enumerate(states)
-    ]
+    idle = disc()
+    imaging = fringed(idle, 0.6)
+    frames = [Frame(k, k / 15, noisy(imaging if on else idle, seed=k), f"probe[{k}]") for k, on in enumerate(states)]
     track_to_file(frames, tmp_path / "t.csv", activity=True, detections=tmp_path / "d.parquet")
     rows = read_tracks(tmp_path / "t.csv").to_pylist()
     assert {row["track"] for row in rows} == {1}

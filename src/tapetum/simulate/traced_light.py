@@ -44,6 +44,8 @@ _LARGEST_MISFIT = 0.02
 _COMPARED, _FEWER = 3.0, 1.3
 # Share of the accuracy that the phase of the rays' paths, RMS, may take before rays correct them.
 _CORRECTED_FROM = 0.2
+# Share of the accuracy that corrected paths may take before they are fitted at more tilts.
+_OF_NODES = 0.3
 # RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
 _LARGEST_DEPARTURE = 0.05
 
@@ -229,8 +231,9 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
     allowed = min(accuracy, 2 * math.pi * _LARGEST_DEPARTURE)
     if correct and far_out:
         found = corrected(focused, fits, curvature=scene.curvature, accepted=accepted)
-        if found is not None and 2 * math.pi * found.misfit / wavelength > allowed:
-            # The paths of the tilts that return may change too fast for so few nodes.
+        if found is not None and 2 * math.pi * found.misfit / wavelength > _OF_NODES * allowed:
+            # The paths of the tilts that return may change too fast for so few nodes. More of them cost less than the
+            # finer sampling that the rest of the accuracy would ask for.
             nodes = found.nodes.denser()
             again = fit_pupils(focused, nodes.steepest, curvature=scene.curvature, nodes=nodes)
             again = corrected(focused, again, curvature=scene.curvature, accepted=accepted, nodes=nodes)

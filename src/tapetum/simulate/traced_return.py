@@ -53,6 +53,8 @@ _COARSE, _NARROWINGS = 25, 2
 _RETURN_DEGREE = 16
 # Where few rays return, the RMS of their paths varies by up to a quarter between the tilts at which it is checked.
 _UNCHECKED = 1.25
+# How near the next ray is to a place among rays, over the distance between them.
+_WITHIN = 0.75
 # Squared height over a rim's beyond which rays do not represent the light inside.
 _STRAY = 1.15
 
@@ -233,8 +235,10 @@ def corrected(
     rays = _Rays(passing, near)
     part = None
     if accepted is None:
-        leaving, misfit = _whole_pupil(focused, nodes, back, rays, more)
+        leaving = _whole_pupil(focused, fits, nodes, back, rays, more)
         aperture = fits.aperture[1]
+        wanted = values_at(fits.leaving, tilt, back.e)[0][:, 0] + more
+        misfit = float(_spread(values_at(leaving, nodes.terms(nodes.sines), back.e)[0][:, 0] - wanted, passing).max())
     else:
         leaving, misfit = _part(fits, nodes, back, rays, more)
         aperture = float(torch.where(passing, length(back.e), torch.zeros_like(more)).max())
@@ -246,11 +250,13 @@ def corrected(
 
 
 def _whole_pupil(
-    focused: FocusedLens, nodes: TiltNodes, back: Returned, rays: _Rays, more: torch.Tensor
-) -> tuple[Fit, float]:
+    focused: FocusedLens, fits: PupilFits, nodes: TiltNodes, back: Returned, rays: _Rays, more: torch.Tensor
+) -> Fit:
     """Fit the pupil that light leaves by, with the excess `more` of real rays' paths [T, N] and heights.
 
-    Waves reach beyond the rays: where no ray returns, the nearest ones replace it.
+    Waves reach beyond the rays. What the rim of the pupil diffracts there comes from where the rays by the rim meet the
+    sensor, so beyond them the excess goes on as it does for light from one landing: by how much more than the model's
+    path the real one grows along the pupil, which is how much farther the ray turned.
     """
     middle, tilt = back.bundle.middle, nodes.terms(nodes.sines)
     leaving = trace_bundle(focused, nodes.sines, middle=middle)
@@ -260,9 +266,43 @@ def _whole_pupil(
     found, _ = fit_functions(
         nodes, back.e, rays, [(more, _RETURN_DEGREE), *((one, SMOOTH_DEGREE) for one in higher.unbind(1))]
     )
-    centre, half = (tilt @ found.centre)[:, None], (tilt @ found.half)[:, None]
-    nearest = torch.minimum(torch.maximum(leaving.e, centre - half), centre + half)
-    return fit_leaving(nodes, leaving, values_at(found, tilt, nearest)[0], _RETURN_DEGREE)
+    # Where a rim stops rays on their way out alone, the fit holds their paths up to it.
+    entered = rays.near & (back.height[..., : back.bundle.height.shape[-1]] <= 1).all(-1)
+    number, beyond = _nearest(back.e, entered, leaving.e)
+    ray = back.e.gather(1, number[..., None].expand(-1, -1, 2))
+    added = values_at(found, tilt, torch.where(beyond[..., None], ray, leaving.e))[0]
+    slope = _excess_slope(fits, tilt, back).gather(1, number[..., None].expand(-1, -1, 2))
+    farther = ((leaving.e - ray) * slope).sum(-1)
+    added[:, 0] += torch.where(beyond, farther, torch.zeros_like(farther))
+    return fit_leaving(nodes, leaving, added, _RETURN_DEGREE)[0]
+
+
+def _nearest(rays: torch.Tensor, chosen: torch.Tensor, places: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """The chosen one [T, N] of rays [T, M, 2] nearest to places [T, N, 2], and whether the place lies beyond all."""
+    numbers, beyond = torch.zeros(places.shape[:2], dtype=torch.int64), torch.zeros(places.shape[:2], dtype=torch.bool)
+    # One tilt at a time: the distances of all would take 0.2 GB.
+    for n, (own, some, at) in enumerate(zip(rays, chosen, places, strict=True)):
+        these = torch.nonzero(some)[:, 0]
+        # Rays are laid out in squares, nearly: no place within one is farther from all its corners.
+        apart = torch.cdist(own[these], own[these]).fill_diagonal_(torch.inf).amin(-1).median()
+        distance, nearest = torch.cdist(at.nan_to_num(0.0), own[these]).min(-1)
+        numbers[n], beyond[n] = these[nearest], distance > _WITHIN * apart
+    return numbers, beyond
+
+
+def _excess_slope(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Tensor:
+    """How the excess of rays' paths over the model's grows along the pupil for light from one landing, [F, N, 2]."""
+    step = 1e-3 * fits.aperture[1]
+    ways = step * torch.eye(2, dtype=torch.float64)
+    grown = [
+        (
+            _model_path(fits, tilt, replace(back, e=back.e + way))
+            - _model_path(fits, tilt, replace(back, e=back.e - way))
+        )
+        / (2 * step)
+        for way in (ways[0], ways[1])
+    ]
+    return back.turned - torch.stack(grown, -1)
 
 
 def _part(fits: PupilFits, nodes: TiltNodes, back: Returned, rays: _Rays, more: torch.Tensor) -> tuple[Fit, float]:
