@@ -16,11 +16,11 @@ from .radial import middle, of_engine
 from .rays import focused
 from .test_traced_judge import PROBE, SECTION, WAVELENGTH
 
-# Lens, its focal length, f-number and object distance in metres, and accuracy: 8 to 24 Fresnel zones of defocus.
+# Lens, its focal length, f-number and object distance in metres, and accuracy: 8 to 28 Fresnel zones of defocus.
 _CASES = [
     ("cmount-12mm-f1.4", 3.8e-3, 2.8, 0.09, 0.03),
     # Its rim is sharp 2.5 mm behind the paraxial entrance pupil.
-    ("zoom-18-140mm", 135e-3, 8.0, 6.0, 0.03),
+    ("zoom-18-140mm", 135e-3, 8.0, 4.0, 0.03),
     pytest.param("cmount-12mm-f1.4", 3.8e-3, 2.8, 0.045, 0.03, marks=pytest.mark.slow),
     pytest.param("phone-f", 4.5e-3, 2.8, 0.126, 0.03, marks=pytest.mark.slow),
     pytest.param("compact-6mm-f1.9", 6e-3, 2.8, 0.224, 0.03, marks=pytest.mark.slow),

@@ -44,6 +44,8 @@ _LARGEST_MISFIT = 0.02
 _COMPARED, _FEWER = 3.0, 1.3
 # Share of the accuracy that the phase of the rays' paths, RMS, may take before rays correct them.
 _CORRECTED_FROM = 0.2
+# Angle beyond which no light is followed, over that which the probe's aperture accepts.
+_FADED = 4.0
 # Share of the accuracy that corrected paths may take before they are fitted at more tilts.
 _OF_NODES = 0.3
 # RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
@@ -202,6 +204,20 @@ def accuracy_above(error: float) -> float:
     return math.ceil(error / digit) * digit
 
 
+def _corrected(scene: TracedScene, accepted: float | None, wanted: float) -> PupilFits | None:
+    """The scene's pupils with the paths of rays, fitted at more tilts where their phase errs by more than is wanted."""
+    focused, fits, curvature = scene.focused, scene.fits, scene.curvature
+    found = corrected(focused, fits, curvature=curvature, accepted=accepted)
+    if found is None or 2 * math.pi * found.misfit / scene.wavelength <= wanted:
+        return found
+    # The paths of the tilts that return may change too fast for so few nodes. More of them cost less than the finer
+    # sampling that the rest of the accuracy would ask for.
+    nodes = found.nodes.denser()
+    again = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
+    again = corrected(focused, again, curvature=curvature, accepted=accepted, nodes=nodes)
+    return again if again is not None and again.misfit < found.misfit else found
+
+
 def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> TracedLight:
     """Follow rays off the sensor as off a mirror, and refuse light whose paths are not known well enough.
 
@@ -227,21 +243,18 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
     # In the far field the picture's middle is what the rim diffracts along the axis, on the paths of the model, and the
     # rays' paths would spoil it.
     near = scene.path.aperture is not None
-    far_out = near and blurred and (unsure > _CORRECTED_FROM * accuracy or (accepted and angle > 4 * accepted))
+    far_out = near and blurred and (unsure > _CORRECTED_FROM * accuracy or (accepted and angle > _FADED * accepted))
     allowed = min(accuracy, 2 * math.pi * _LARGEST_DEPARTURE)
     if correct and far_out:
-        found = corrected(focused, fits, curvature=scene.curvature, accepted=accepted)
-        if found is not None and 2 * math.pi * found.misfit / wavelength > _OF_NODES * allowed:
-            # The paths of the tilts that return may change too fast for so few nodes. More of them cost less than the
-            # finer sampling that the rest of the accuracy would ask for.
-            nodes = found.nodes.denser()
-            again = fit_pupils(focused, nodes.steepest, curvature=scene.curvature, nodes=nodes)
-            again = corrected(focused, again, curvature=scene.curvature, accepted=accepted, nodes=nodes)
-            if again is not None and again.misfit < found.misfit:
-                found = again
-        # Crossing rays have several paths at a place, which the fit misses.
-        if found is not None and found.misfit < departure:
-            pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
+        # Where light is followed up to the angle of the last ray in any case, the whole pupil's paths are better known:
+        # a part of it holds nothing of what its rim diffracts.
+        for limit in [None, accepted] if accepted and angle <= _FADED * accepted else [accepted]:
+            found = _corrected(scene, limit, _OF_NODES * allowed)
+            # Crossing rays have several paths at a place, which the fit misses.
+            if found is not None and (left := 2 * math.pi * found.misfit / wavelength) < unsure:
+                pupils, by_rays, unsure, accepted = found, True, left, limit
+                if unsure <= allowed:
+                    break
     if not by_rays:
         accepted = None
     coarser = (
