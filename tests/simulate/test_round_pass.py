@@ -90,8 +90,8 @@ def test_fields_against_the_sampled_sensor(distance: float, tilt: tuple[float, f
     output = Grid(48, 48, 10e-6)
     at = sines(tilt)
     ours = RoundPass(g, plan_round(g, 1e-4), output, dtype=torch.complex128).field(at)[0]
-    # About as fine as the ladder's finest effort, whose own error is a third of what is allowed here at most; the
-    # reference's window and slopes cost forty times as much.
+    # About as fine as the ladder's finest effort: the two differ by a third of what is allowed here at most, and the
+    # reference's window and slopes would cost many times as much.
     effort = replace(grid_sampling.REFERENCE, rings=150, ray_radians=1.1, radians=2.2, widths=1.6, spread=1.5)
     plan = grid_sampling.plan_with(g, effort)
     other = DoublePass(g, plan, output, dtype=torch.complex128).field(at)[0]

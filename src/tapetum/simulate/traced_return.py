@@ -256,7 +256,8 @@ def _whole_pupil(
 
     Waves reach beyond the rays. What the rim of the pupil diffracts there comes from where the rays by the rim meet the
     sensor, so beyond them the excess goes on as it does for light from one landing: by how much more than the model's
-    path the real one grows along the pupil, which is how much farther the ray turned.
+    path the real one grows along the pupil, which is how much farther the ray turned. Light that an array's orders send
+    there has paths of its own, which nothing here knows.
     """
     middle, tilt = back.bundle.middle, nodes.terms(nodes.sines)
     leaving = trace_bundle(focused, nodes.sines, middle=middle)
@@ -271,7 +272,7 @@ def _whole_pupil(
     number, beyond = _nearest(back.e, entered, leaving.e)
     ray = back.e.gather(1, number[..., None].expand(-1, -1, 2))
     added = values_at(found, tilt, torch.where(beyond[..., None], ray, leaving.e))[0]
-    slope = _excess_slope(fits, tilt, back).gather(1, number[..., None].expand(-1, -1, 2))
+    slope = _excess_slope(fits, fits.nodes.terms(nodes.sines), back).gather(1, number[..., None].expand(-1, -1, 2))
     farther = ((leaving.e - ray) * slope).sum(-1)
     added[:, 0] += torch.where(beyond, farther, torch.zeros_like(farther))
     return fit_leaving(nodes, leaving, added, _RETURN_DEGREE)[0]
