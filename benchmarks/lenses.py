@@ -103,8 +103,7 @@ def _zoom(effort: Effort) -> Row:
         f"zoom-18-140mm, f = 135 mm, focused at 3 m, {camera.accuracy:g} of the peak, through the probe's aperture",
         Figure.rate(timings.typical("ours"), "images"),
         note=f"one beam, tilts up to 1°, {camera.output.columns} × {camera.output.rows} pixels; "
-        f"{camera.plan.columns} samples over the pupil, stated error {camera.plan.expected_error:.2g}, the orders "
-        "of its photosites apart",
+        f"{camera.plan.columns} samples over the pupil, stated error {camera.plan.expected_error:.2g}",
     )
 
 

@@ -23,11 +23,13 @@ __all__ = [
     "Part",
     "PupilFits",
     "TiltNodes",
+    "boxes",
     "chebyshev",
     "edge_weights",
     "fit_functions",
     "fit_leaving",
     "fit_pupils",
+    "least_squares",
     "narrowed",
     "on_grid",
     "on_tilt_grid",
@@ -319,7 +321,7 @@ def fit_functions(
     """Fit functions of places [T, N, 2], given by values [T, N] and a degree; also return the first's RMS misfit."""
     # Stray rays may be anywhere, or not finite.
     places = torch.where(bundle.near[..., None], places, torch.zeros_like(places))
-    centre, half = _boxes(nodes, places, bundle.passing)
+    centre, half = boxes(nodes, places, bundle.passing)
     u = (places - centre[:, None]) / half[:, None]
     used = bundle.near & (u.abs() <= _FITTED).all(-1)
     degrees = max(degree for _, degree in even), max((degree for _, degree in odd), default=1)
@@ -334,7 +336,7 @@ def fit_functions(
             some = order <= degree
             chosen = [k for k, (_, own) in enumerate(functions) if own == degree]
             values = torch.stack([functions[k][0] for k in chosen], -1)
-            solved = _least_squares(matrix[..., some], values, used)
+            solved = least_squares(matrix[..., some], values, used)
             for j, k in enumerate(chosen):
                 found[k][:, some] = solved[..., j]
         fitted.append(found)
@@ -534,7 +536,7 @@ def _table(coefficients: torch.Tensor, degree: int, parity: int, tilt: torch.Ten
     return table
 
 
-def _boxes(nodes: TiltNodes, places: torch.Tensor, passing: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def boxes(nodes: TiltNodes, places: torch.Tensor, passing: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Middle and half widths [T, 2] of boxes about all that passes, as low polynomials of the tilt."""
     far = torch.full_like(places, math.inf)
     lower = torch.where(passing[..., None], places, far).amin(1)
@@ -553,7 +555,7 @@ def _boxes(nodes: TiltNodes, places: torch.Tensor, passing: torch.Tensor) -> tup
     return (low + high) / 2, (high - low) / 2 * _BOX_MARGIN
 
 
-def _least_squares(matrix: torch.Tensor, values: torch.Tensor, used: torch.Tensor) -> torch.Tensor:
+def least_squares(matrix: torch.Tensor, values: torch.Tensor, used: torch.Tensor) -> torch.Tensor:
     """[T, M, K] for a matrix [T, N, M], values [T, N, K] and the rows used [T, N]."""
     weights = used[..., None].to(torch.float64)
     a = matrix * weights

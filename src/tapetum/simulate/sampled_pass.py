@@ -224,8 +224,12 @@ class SampledPass(Generic[Lens]):
             return spot * amplitudes.sum(-1)[:, None, None].to(self.dtype)
         total = torch.zeros(1, 1, 1, dtype=self.dtype, device=self.device)
         for i in range(0, amplitudes.shape[-1], _ORDERS):
-            total = total + self._ramps(directions[:, i : i + _ORDERS], amplitudes[:, i : i + _ORDERS])
+            total = total + self._turned(at, directions[:, i : i + _ORDERS], amplitudes[:, i : i + _ORDERS])
         return spot * total
+
+    def _turned(self, at: Gazes, directions: torch.Tensor, amplitudes: torch.Tensor) -> torch.Tensor:
+        """What orders turn the spot's light by [B, n, n], of directions [B, M, 2] and amplitudes [B, M]."""
+        return self._ramps(directions, amplitudes)
 
     def _orders(self, at: Gazes) -> tuple[torch.Tensor, torch.Tensor]:
         """Amplitudes [B, M] of a surface's orders, and directions [B, M, 2] against which they return; at the spot."""

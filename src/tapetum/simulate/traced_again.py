@@ -13,6 +13,7 @@ import torch
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
+from tapetum.simulate.order_paths import OrderPaths, order_paths
 from tapetum.simulate.probe_path import ProbePath
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.surfaces import Surface
@@ -46,19 +47,23 @@ def group_again(
     """
     scene = traced_scene(focused, fits, output, **way)
     if surfaces is None:
-        return TracedGroup([pass_again(one, one.fits, one.surface, scene.path) for one in group.passes], group.plan)
+        again = [pass_again(one, (one.fits, one.orders), one.surface, scene.path) for one in group.passes]
+        return TracedGroup(again, group.plan)
     made: list[TracedPass] = []
     for one, surface in zip(group.passes, surfaces, strict=True):
         if same_lens and not surface.depth:
-            made.append(pass_again(one, one.fits, surface, scene.path))
+            made.append(pass_again(one, (one.fits, one.orders), surface, scene.path))
             continue
         at, plane = in_air(scene, surface)
         made.append(pass_again(one, _fits(at, one), plane, scene.path))
     return TracedGroup(made, group.plan)
 
 
-def pass_again(one: TracedPass, fits: PupilFits, surface: Surface, path: ProbePath) -> TracedPass:
+def pass_again(
+    one: TracedPass, lens: tuple[PupilFits, OrderPaths | None], surface: Surface, path: ProbePath
+) -> TracedPass:
     """The samples of a pass with another lens, plane or way to the probe."""
+    fits, orders = lens
     return TracedPass(
         fits,
         one.grids,
@@ -66,24 +71,24 @@ def pass_again(one: TracedPass, fits: PupilFits, surface: Surface, path: ProbePa
         path,
         wavelength=one.wavelength,
         accepted=one.accepted,
+        orders=orders,
         dtype=one.dtype,
         device=one.device,
     )
 
 
-def _fits(scene: TracedScene, one: TracedPass) -> PupilFits:
-    """The pupils of another lens as `followed` found those of a pass."""
-    before = one.fits.corrected_from
-    if before is None:
-        return scene.fits
-    fits = scene.fits
-    if before != fits.nodes:
-        fits = fit_pupils(scene.focused, before.steepest, curvature=scene.curvature, nodes=before)
-    found = corrected(scene.focused, fits, curvature=scene.curvature, accepted=one.accepted, nodes=one.fits.nodes)
-    if found is None:
-        what = "too little light comes back to compute how it changes with the focus"
-        raise InputError(what, where="target", remedy="focus nearer to the probe, or stop down with f_number")
-    return found
+def _fits(scene: TracedScene, one: TracedPass) -> tuple[PupilFits, OrderPaths | None]:
+    """The pupils of another lens, and the paths of its orders, as `followed` found those of a pass."""
+    fits, before = scene.fits, one.fits.corrected_from
+    if before is not None:
+        if before != fits.nodes:
+            fits = fit_pupils(scene.focused, before.steepest, curvature=scene.curvature, nodes=before)
+        nodes = one.fits.nodes
+        fits = corrected(scene.focused, fits, curvature=scene.curvature, accepted=one.accepted, nodes=nodes)
+        if fits is None:
+            what = "too little light comes back to compute how it changes with the focus"
+            raise InputError(what, where="target", remedy="focus nearer to the probe, or stop down with f_number")
+    return fits, one.orders and order_paths(scene.focused, fits, curvature=scene.curvature)
 
 
 def tilts_like(own: PupilFits, wanted: PupilFits, sines: torch.Tensor, shift: torch.Tensor) -> torch.Tensor:

@@ -246,7 +246,9 @@ class _Camera(Camera):
             made: list[TracedGroup] = []
             for group in map(_group, line.passes):
                 moved = [
-                    pass_again(one, one.fits, _moved_sites(one.surface, axis, by, line.wavelength), one.path)
+                    pass_again(
+                        one, (one.fits, one.orders), _moved_sites(one.surface, axis, by, line.wavelength), one.path
+                    )
                     for one in group.passes
                 ]
                 made.append(TracedGroup(moved, group.plan))

@@ -16,9 +16,10 @@ import torch
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
+from tapetum.simulate.order_paths import OrderPaths, order_paths
 from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_by_chirps
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, reach_of_rays
-from tapetum.simulate.surfaces import Surface
+from tapetum.simulate.surfaces import Order, Surface
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
 __all__ = [
@@ -48,6 +49,15 @@ _CORRECTED_FROM = 0.2
 _FADED = 4.0
 # Share of the accuracy that corrected paths may take before they are fitted at more tilts.
 _OF_NODES = 0.3
+# RMS of the paths of light that leaves by other places than a mirror's, over that of a mirror's: 0.7 to 1.7 times as
+# much in the zoom at six focal lengths and focuses. Share of the accuracy that an array's orders may err by before they
+# get paths of their own.
+_OF_ASIDE, _OF_ORDERS = 2.0, 0.1
+# Distance of an order's direction from the pupil's middle, over the pupil's half width, within which it returns.
+_RETURNS = 2.05
+# How far aside of a mirror's light that of an order may land, over the spot's part whose light is accepted, where that
+# part alone is followed.
+_ASIDE = 0.25
 # RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
 _LARGEST_DEPARTURE = 0.05
 
@@ -106,7 +116,8 @@ class TracedScene:
 class TracedLight:
     """Light that is followed off one plane.
 
-    `fits` are its pupils, `by_rays` whether rays correct them, for light up to the angle `accepted`; `departure` the
+    `fits` are its pupils, `by_rays` whether rays correct them, for light up to the angle `accepted`; `orders` the paths
+    of the plane's orders, where they have their own; `departure` the
     RMS of the rays' paths against the model's in metres; `unsure` the error of what is left of it; `angle` the largest
     at which light leaves, and `bright` and `steepest` the sines of the steepest tilts for which the claim is made, and
     that is asked for.
@@ -115,6 +126,7 @@ class TracedLight:
     fits: PupilFits
     by_rays: bool
     accepted: float | None
+    orders: OrderPaths | None
     departure: float
     unsure: float
     angle: float
@@ -218,10 +230,11 @@ def _corrected(scene: TracedScene, accepted: float | None, wanted: float) -> Pup
     return again if again is not None and again.misfit < found.misfit else found
 
 
-def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> TracedLight:
+def followed(scene: TracedScene, accuracy: float, orders: Sequence[Order] = (), *, correct: bool = True) -> TracedLight:
     """Follow rays off the sensor as off a mirror, and refuse light whose paths are not known well enough.
 
-    Only what a plane returns by rays can be corrected by them: not what a mask scatters.
+    Only what a plane returns by rays can be corrected by them: not what a mask scatters. `orders` are the plane's, a
+    mirror's by default.
     """
     focused, fits, wavelength, accepted = scene.focused, scene.fits, scene.wavelength, scene.accepted
     blurred = is_blurred(fits, wavelength)
@@ -240,6 +253,7 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
             # No ray leaves under an angle that is faded out: follow the whole pupil, and waves beyond its rays.
             accepted = None
     pupils, by_rays = fits, False
+    others = _deflected(scene, orders) if correct else []
     # In the far field the picture's middle is what the rim diffracts along the axis, on the paths of the model, and the
     # rays' paths would spoil it.
     near = scene.path.aperture is not None
@@ -248,7 +262,11 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
     if correct and far_out:
         # Where light is followed up to the angle of the last ray in any case, the whole pupil's paths are better known:
         # a part of it holds nothing of what its rim diffracts.
-        for limit in [None, accepted] if accepted and angle <= _FADED * accepted else [accepted]:
+        limits = [None, accepted] if accepted and angle <= _FADED * accepted else [accepted]
+        if accepted and _aside(scene, others) > _ASIDE * accepted * abs(focused.focal_length):
+            # The light of an order that reaches the aperture comes from elsewhere in the spot than a mirror's.
+            limits = [None]
+        for limit in limits:
             found = _corrected(scene, limit, _OF_NODES * allowed)
             # Crossing rays have several paths at a place, which the fit misses.
             if found is not None and (left := 2 * math.pi * found.misfit / wavelength) < unsure:
@@ -257,6 +275,15 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
                     break
     if not by_rays:
         accepted = None
+    aside = 2 * math.pi * _OF_ASIDE * departure / wavelength
+    if not correct:
+        # A mask sends light to all of the pupil.
+        unsure = aside
+    weight, paths = _weight(others, fits.aperture[0]), None
+    if near and blurred and aside * weight > _OF_ORDERS * accuracy:
+        paths = order_paths(focused, pupils, curvature=scene.curvature)
+        aside = 2 * math.pi * paths.misfit / wavelength
+    unsure += aside * weight
     coarser = (
         f"ask for an accuracy of {accuracy_above(unsure):g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
     )
@@ -283,4 +310,28 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
     # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for
     # tilts that return enough.
     lit = float(sines[told.overlap >= _FADING * told.overlap.max()].max())
-    return TracedLight(pupils, by_rays, accepted, departure, unsure, angle, min(lit, pupils.nodes.steepest), steepest)
+    bright = min(lit, pupils.nodes.steepest)
+    return TracedLight(pupils, by_rays, accepted, paths, departure, unsure, angle, bright, steepest)
+
+
+def _deflected(scene: TracedScene, orders: Sequence[Order]) -> list[tuple[float, float]]:
+    """Sines of the orders that a mirror does not have and that return, and the changes of the peak for a phase of 1."""
+    most = max((abs(order.amplitude) for order in orders), default=0.0)
+    return [
+        (size, 1.0 if abs(order.amplitude) == most else 2 * abs(order.amplitude) / most)
+        for order in orders
+        if 0 < (size := math.hypot(*order.direction)) < _RETURNS * scene.fits.aperture[0]
+    ]
+
+
+def _aside(scene: TracedScene, others: Sequence[tuple[float, float]]) -> float:
+    """How far aside of a mirror's light that of an order lands, in metres, where both go straight back to the probe."""
+    return max((abs(scene.fits.defocus) * size / 2 for size, _ in others), default=0.0)
+
+
+def _weight(others: Sequence[tuple[float, float]], sine: float) -> float:
+    """Change of the peak for phases of 1 rad RMS of orders deflected by `sine`, in proportion for smaller ones.
+
+    Orders take different paths, whose errors add as squares.
+    """
+    return math.hypot(*(share * min(1.0, size / sine) for size, share in others))

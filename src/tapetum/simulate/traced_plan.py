@@ -320,7 +320,7 @@ def _planned(
 ) -> tuple[TracedPass, TracedPlan]:
     """A plane's pass, whose sampling may err by a `share` of what its paths' error leaves of the accuracy."""
     scene, surface = in_air(scene, surface)
-    light = followed(scene, share * accuracy)
+    light = followed(scene, share * accuracy, surface.orders)
     wanted = share * _for_samples(light, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
     found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, wanted, allowed=accuracy, seen=seen)
@@ -360,6 +360,7 @@ def _on_grids(
         path,
         wavelength=scene.wavelength,
         accepted=light.accepted,
+        orders=None if mask is not None else light.orders,
         mask=mask,
         dtype=path.dtype,
         device=path.device,

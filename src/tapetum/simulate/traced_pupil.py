@@ -19,7 +19,7 @@ from tapetum.simulate.probe_path import ProbePath
 from tapetum.simulate.pupil_fits import PupilFits, edge_weights, on_grid, on_tilt_grid, open_share
 from tapetum.simulate.pupils import Entering, Leaving
 
-__all__ = ["TracedPupil"]
+__all__ = ["TracedGazes", "TracedPupil"]
 
 _NO_TILT = 1e-11
 # The root of zero has no finite gradient.
@@ -91,16 +91,17 @@ class TracedPupil:
         """Which tilts [B, 2] are drawn foreshortened: all, by their rays."""
         return torch.ones(len(sines), dtype=torch.bool, device=sines.device)
 
-    def gazes(self, sines: torch.Tensor, own: bool, roll: torch.Tensor | None = None) -> _TracedGazes:
+    def gazes(self, sines: torch.Tensor, own: bool, roll: torch.Tensor | None = None) -> TracedGazes:
         """Itself under tilts [B, 2], turned about its axis by `roll` [B] in radians from x to y."""
-        return _TracedGazes(self, sines, own, roll)
+        return TracedGazes(self, sines, own, roll)
 
 
-class _TracedGazes:
+class TracedGazes:
     """A traced lens under a batch of tilts. A mirror's frame has columns across the tilt and rows along it.
 
     The lens is round: a roll only turns the tilt against what the sensor holds. What leaves the lens is in the probe's
-    frame.
+    frame. `tilt` [B, T] are the tilts as `TiltNodes.terms`, `centre` [B] how far along them from y0 the spot's samples
+    have their middle.
     """
 
     def __init__(self, pupil: TracedPupil, sines: torch.Tensor, own: bool, roll: torch.Tensor | None) -> None:
@@ -110,8 +111,8 @@ class _TracedGazes:
         self._toward = self._seen if roll is None else turned(self._seen, -roll)
         self._returns = pupil.returns(sines).to(torch.float64)
         self._size = size.clamp_max(fits.nodes.steepest)
-        self._tilt = fits.nodes.terms(self._size)
-        middle, radius = self._tilt @ fits.middle, self._tilt @ fits.radius
+        self.tilt = fits.nodes.terms(self._size)
+        middle, radius = self.tilt @ fits.middle, self.tilt @ fits.radius
         self._chief = chief = middle / radius
         tx, ty = self._toward.unbind(-1)
         plane = torch.tensor(pupil.tilt, dtype=torch.float64, device=sines.device)
@@ -119,9 +120,9 @@ class _TracedGazes:
         self._nearer = -(self._toward @ plane) * middle
         self._shift = self._nearer * chief / torch.sqrt(1 - chief**2)
         # The spot's samples lie about this place, along the tilt from y0.
-        self._centre = torch.zeros_like(middle) if fits.part is None else self._tilt @ fits.part.centre
+        self.centre = torch.zeros_like(middle) if fits.part is None else self.tilt @ fits.part.centre
         # Where the chief ray meets the plane.
-        self.place = (middle - self._shift + self._centre)[:, None] * self._toward
+        self.place = (middle - self._shift + self.centre)[:, None] * self._toward
         if own:
             self.axes = torch.eye(2, dtype=torch.float64, device=sines.device).expand(len(sines), 2, 2)
         else:
@@ -132,7 +133,7 @@ class _TracedGazes:
         self.middle = torch.stack([chief * self._x, chief * self._y], -1)
         self.bend = middle.new_tensor([fits.bend])
         # C turns light at the samples' middle, on each way by this.
-        self._bent = (fits.bend * self._centre)[:, None]
+        self._bent = (fits.bend * self.centre)[:, None]
 
     def entering(self) -> Entering:
         """The light on its way in."""
@@ -140,10 +141,10 @@ class _TracedGazes:
         if self._own:
             toward = torch.stack([self._x, self._y], -1)
             columns, rows, path, values, _, inside = on_grid(
-                one.fits.entering, self._tilt, toward, one.samples[0], one.real
+                one.fits.entering, self.tilt, toward, one.samples[0], one.real
             )
         else:
-            columns, rows, path, values = on_tilt_grid(one.fits.entering, self._tilt, one.samples[0], one.real)
+            columns, rows, path, values = on_tilt_grid(one.fits.entering, self.tilt, one.samples[0], one.real)
         share = torch.sqrt(values[:, 0].clamp_min(_DARK))
         mirrored = not self._own
         share = share * edge_weights(open_share(values[:, 1:], inside, mirrored=mirrored), mirrored=mirrored)
@@ -156,7 +157,7 @@ class _TracedGazes:
             along = self._x[:, None, None] * across + self._y[:, None, None] * down
             path = path + self._taken(across**2 + down**2, along)
         if one.fits.part is not None:
-            path = path + (rows * self._centre[:, None])[:, :, None]
+            path = path + (rows * self.centre[:, None])[:, :, None]
             rows = rows + self._bent
         return Entering(columns, rows, strength, path, (not self._own, False))
 
@@ -165,7 +166,7 @@ class _TracedGazes:
         one, fits = self._pupil, self._pupil.fits
         rotation, _ = foreshortening(self._sines)
         toward = (rotation.mT @ self._seen[..., None])[..., 0]
-        x, y, path, even, odd, inside = on_grid(fits.leaving, self._tilt, toward, one.samples[2], one.real)
+        x, y, path, even, odd, inside = on_grid(fits.leaving, self.tilt, toward, one.samples[2], one.real)
         out = torch.sqrt(even[:, 1].clamp_min(_DARK))
         if odd.shape[1] > 1:
             out = out * edge_weights(open_share(even[:, 3:], inside)) * self._accept(even[:, 2], odd[:, 1])
@@ -176,8 +177,8 @@ class _TracedGazes:
             path = path + self._taken(along**2 + across**2, along)
         if fits.part is not None:
             # What is sampled about another place has its phases.
-            more = (self._bent[:, 0] + 2 * self.turn[:, 1]) * self._centre
-            path = path + along.double() * self._centre[:, None, None] + more[:, None, None]
+            more = (self._bent[:, 0] + 2 * self.turn[:, 1]) * self.centre
+            path = path + along.double() * self.centre[:, None, None] + more[:, None, None]
         wave = out * phasor(one.k * path + one.phase, one.dtype)
         mirrored = one.straight and not self._own
         if mirrored:

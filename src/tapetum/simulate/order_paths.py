@@ -1,0 +1,233 @@
+"""The paths of an array's orders out of a traced lens, far out of focus, by rays.
+
+The model's way out is exact to first order in v, the place of the spot, and a mirror's light is corrected where it
+leaves (traced_return). An order of direction D sends the ray that meets v out by another place than a mirror does,
+where that correction is another light's. So each order's light is turned on the sensor, where it meets v, by
+
+    X(v, D) = E(v, e) - c(e),    e = e(v, d(v) + D)
+
+d(v) are the direction cosines of the ray that enters, d + D those of the one that leaves, e where it crosses the
+entrance pupil, E how much longer its path from v to e is than the model's, and c what the pupils of the light that
+leaves already add to it there. E and e are polynomials fitted to rays of all places and directions: they hold for any
+order at any azimuth of the tilt. Light that misses the pupil counts as that which v sends to the pupil's rim.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from scipy.stats import qmc  # pyright: ignore[reportMissingTypeStubs]
+
+from tapetum.optics.focus import FocusedLens
+from tapetum.optics.rays import to_plane, trace_out
+from tapetum.simulate.pupil_fits import (
+    MAP_DEGREE,
+    Fit,
+    PupilFits,
+    TiltNodes,
+    boxes,
+    chebyshev,
+    fit_functions,
+    least_squares,
+    values_at,
+)
+from tapetum.simulate.traced_bundle import length, rim_plane, trace_bundle
+
+__all__ = ["PLACES", "OrderPaths", "order_paths"]
+
+# Places across the spot between which X is interpolated: for X ∝ v² it is off by a thousandth of its largest value.
+PLACES = 17
+# Degrees of E and e in v and in the other argument, of d(v), and of Ψ(e).
+_PLACE_DEGREE, _WAY_DEGREE, _ENTERING_DEGREE, _PATH_DEGREE = 3, 5, 8, 16
+# Places v and directions that are traced: to fit, and to check. Squared distance of those from a box's middle, in half
+# widths.
+_TRACED, _CHECKED, _NEAR = 4096, 1024, 1.1
+# The box about directions is wider than that of light from y0, by which it is found: places aside see the pupil aside.
+_WIDER = 1.15
+# Squared height over a rim's up to which rays are fitted.
+_STRAY = 1.15
+
+
+@dataclass(frozen=True)
+class OrderPaths:
+    """X(v, D) of the module, for tilts on `nodes`.
+
+    `entering` holds d of places v: along the tilt, and across it as the odd function. `usual` is the pupil that light
+    from y0 leaves by, Ψ(e), s along the tilt and across it, and `leaving` that of the pass, which adds c to Ψ. `centre`
+    and `half` [T, 2] are coefficients in the tilt of the box about directions o; `excess` [T, M] those of E(v, e),
+    `along` [T, M] and `across` [T, K] of e(v, o). `misfit` is the worst RMS error of X at tilts between the nodes,
+    `departure` the worst RMS of X itself, both about their means over all that leaves, in metres.
+    """
+
+    nodes: TiltNodes
+    entering: Fit
+    usual: Fit
+    leaving: Fit
+    centre: torch.Tensor
+    half: torch.Tensor
+    excess: torch.Tensor
+    along: torch.Tensor
+    across: torch.Tensor
+    misfit: float = 0.0
+    departure: float = 0.0
+
+    def to(self, device: torch.device) -> OrderPaths:
+        """The same on another device."""
+        moved = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, Fit | torch.Tensor)}
+        return replace(self, **moved)
+
+    def spot(self, tilt: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Middle and half widths [B, 2] of the box about the spot's rays at tilts given as `TiltNodes.terms` [B, T]."""
+        return tilt @ self.entering.centre, tilt @ self.entering.half
+
+    def at(self, tilt: torch.Tensor, places: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+        """X [B, M, N] in metres at places v [B, N, 2], across and along the tilt, of M orders' directions [B, M, 2]."""
+        places = _within(places, *self.spot(tilt))
+        even, odd = values_at(self.entering, tilt, places)
+        way = torch.stack([odd[:, 0], even[:, 0]], -1)[:, None] + directions[:, :, None]
+        orders, count = way.shape[1:3]
+        v = places[:, None].expand(-1, orders, -1, -1).flatten(1, 2)
+        return self.added(tilt, v, self.leaves_at(tilt, v, way.flatten(1, 2))).reshape(-1, orders, count)
+
+    def leaves_at(self, tilt: torch.Tensor, v: torch.Tensor, way: torch.Tensor) -> torch.Tensor:
+        """e [B, N, 2] of light that leaves places v [B, N, 2] in directions o [B, N, 2]."""
+        box = tilt @ self.centre, tilt @ self.half
+        u = torch.cat([_scaled(v, *self.spot(tilt)), _scaled(_within(way, *box), *box)], -1)
+        across, along = (
+            torch.einsum("bnm,bm->bn", _basis(u, parity), tilt @ one)
+            for parity, one in ((1, self.across), (0, self.along))
+        )
+        return torch.stack([across, along], -1)
+
+    def added(self, tilt: torch.Tensor, v: torch.Tensor, e: torch.Tensor) -> torch.Tensor:
+        """E - c [B, N] of light from v [B, N, 2] that leaves at e [B, N, 2]."""
+        e = _within(e, *self.pupil(tilt))
+        u = torch.cat([_scaled(v, *self.spot(tilt)), _scaled(e, *self.whole(tilt))], -1)
+        excess = torch.einsum("bnm,bm->bn", _basis(u, 0), tilt @ self.excess)
+        return excess - self.known(tilt, e)
+
+    def pupil(self, tilt: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Middle and half widths [B, 2] of the box about the pupil, or the part of it, that light leaves by."""
+        return tilt @ self.leaving.centre, tilt @ self.leaving.half
+
+    def whole(self, tilt: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Middle and half widths [B, 2] of the box about all of the pupil."""
+        return tilt @ self.usual.centre, tilt @ self.usual.half
+
+    def known(self, tilt: torch.Tensor, e: torch.Tensor) -> torch.Tensor:
+        """c [B, N] at places [B, N, 2] of the entrance pupil."""
+        return values_at(self.leaving, tilt, e)[0][:, 0] - values_at(self.usual, tilt, e)[0][:, 0]
+
+
+def order_paths(focused: FocusedLens, fits: PupilFits, *, curvature: float = 0.0) -> OrderPaths:
+    """Fit the paths of orders to rays.
+
+    Parameters
+    ----------
+    focused, fits
+        The lens, and its pupils, those that `corrected` made where they are used.
+    curvature
+        Of the light that enters, in 1/m.
+    """
+    nodes = fits.nodes
+    middle = nodes.terms(nodes.sines) @ fits.middle
+    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, sloped=False)
+    way = bundle.direction
+    entering, _ = fit_functions(
+        nodes, bundle.beside, bundle, [(way[..., 1], _ENTERING_DEGREE)], [(way[..., 0], _ENTERING_DEGREE)]
+    )
+    # Light leaves where light of no curvature would enter.
+    back = trace_bundle(focused, nodes.sines, middle=middle, sloped=False)
+    usual, _ = fit_functions(
+        nodes, back.e, back, [(back.psi, _PATH_DEGREE), (back.s[..., 1], MAP_DEGREE)], [(back.s[..., 0], MAP_DEGREE)]
+    )
+    ways = torch.where(back.near[..., None], -back.direction, 0.0)
+    centre, half = (nodes.coefficients(one) for one in boxes(nodes, ways, back.passing))
+    half = _WIDER * half
+    none = torch.zeros(nodes.count, 0, dtype=torch.float64)
+    found = OrderPaths(nodes, entering, usual, fits.leaving, centre, half, none, none, none)
+    tilt = nodes.terms(nodes.sines)
+    v, way, e, excess, far = _traced(focused, fits, found, nodes.sines, 0, _TRACED)
+    place, use = _scaled(v, *found.spot(tilt)), far <= _STRAY
+    to = torch.cat([place, _scaled(way, tilt @ centre, tilt @ half)], -1)
+    along = least_squares(_basis(to, 0), e[..., 1:], use)[..., 0]
+    across = least_squares(_basis(to, 1), e[..., :1], use)[..., 0]
+    between = torch.cat([place, _scaled(e, *found.whole(tilt))], -1)
+    more = least_squares(_basis(between, 0), excess[..., None], use)[..., 0]
+    excess, along, across = (nodes.coefficients(one) for one in (more, along, across))
+    found = replace(found, excess=excess, along=along, across=across)
+    # Halfway between the nodes, where nothing was fitted.
+    sines = (nodes.sines[1:] + nodes.sines[:-1]) / 2
+    tilt = nodes.terms(sines)
+    v, way, e, excess, far = _traced(focused, fits, found, sines, _TRACED, _CHECKED)
+    own = excess - found.known(tilt, e)
+    left = own - found.added(tilt, v, found.leaves_at(tilt, v, way))
+    some = (far <= 1) & (length(_scaled(e, *found.pupil(tilt))) <= 1)
+    return replace(found, misfit=_spread(left, some), departure=_spread(own, some))
+
+
+def _traced(
+    focused: FocusedLens, fits: PupilFits, found: OrderPaths, sines: torch.Tensor, first: int, count: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Places v and directions o [F, N, 2], e [F, N, 2] and E [F, N] of their rays, and how far out these are at most.
+
+    The last is the largest squared height over a rim's [F, N], infinite for rays that do not come through. `first` and
+    `count` are those of a sequence of points.
+    """
+    points = qmc.Halton(4, scramble=False).fast_forward(first).random(count)
+    u = 2 * torch.as_tensor(points, dtype=torch.float64) - 1
+    u = u[((u[:, :2] ** 2).sum(-1) <= _NEAR) & ((u[:, 2:] ** 2).sum(-1) <= _NEAR)]
+    tilt = found.nodes.terms(sines)
+    centre, half = found.spot(tilt)
+    v = centre[:, None] + half[:, None] * u[:, :2]
+    way = (tilt @ found.centre)[:, None] + (tilt @ found.half)[:, None] * u[:, 2:]
+    middle = tilt @ fits.middle
+    at = torch.stack([v[..., 0], v[..., 1] + middle[:, None], torch.full_like(v[..., 0], float(focused.image))], -1)
+    direction = torch.cat([way, -torch.sqrt(1 - (way**2).sum(-1, keepdim=True))], -1)
+    back = trace_out(focused.lens, at, direction)
+    rim = rim_plane(focused, sines)[:, None]
+    out, more = to_plane(back.position, back.direction, rim[..., 2])
+    e = out[..., :2] - rim[..., :2]
+    even, odd = values_at(found.usual, tilt, e)
+    s = torch.stack([odd[:, 0], even[:, 1]], -1)
+    model = even[:, 0] + (s * v).sum(-1) + fits.bend / 2 * (v**2).sum(-1)
+    excess = back.path + more + sines[:, None] * e[..., 1] - model
+    whole = back.good & torch.isfinite(excess)
+    far = torch.where(whole, back.height.amax(-1), torch.inf)
+    return v, way, torch.where(whole[..., None], e, 0.0), torch.where(whole, excess, 0.0), far
+
+
+def _scaled(places: torch.Tensor, centre: torch.Tensor, half: torch.Tensor) -> torch.Tensor:
+    return (places - centre[:, None]) / half[:, None]
+
+
+def _within(places: torch.Tensor, centre: torch.Tensor, half: torch.Tensor) -> torch.Tensor:
+    """Places [B, N, 2] moved into the ellipse of a box: polynomials are of no use beyond their rays."""
+    u = _scaled(places, centre, half)
+    return centre[:, None] + half[:, None] * u / length(u)[..., None].clamp_min(1)
+
+
+def _basis(u: torch.Tensor, parity: int) -> torch.Tensor:
+    """Products of Chebyshev polynomials [..., M] at scaled places u [..., 4], even or odd across the tilt."""
+    first, second = range(_PLACE_DEGREE + 1), range(_WAY_DEGREE + 1)
+    terms = [
+        (i, j, k, m)
+        for i in first
+        for j in first[: len(first) - i]
+        for k in second
+        for m in second[: len(second) - k]
+        if (i + k) % 2 == parity
+    ]
+    values = chebyshev(u, 1 + max(_PLACE_DEGREE, _WAY_DEGREE))
+    found = torch.ones_like(u[..., :1])
+    for axis in range(4):
+        found = found * values[..., axis, :][..., [term[axis] for term in terms]]
+    return found
+
+
+def _spread(values: torch.Tensor, some: torch.Tensor) -> float:
+    """Largest standard deviation, over some of each row's values [F, N]: what all orders have in common is no error."""
+    count = some.sum(-1, keepdim=True).clamp_min(1)
+    apart = values - torch.where(some, values, 0.0).sum(-1, keepdim=True) / count
+    return float((torch.where(some, apart**2, 0.0).sum(-1, keepdim=True) / count).max().sqrt())
