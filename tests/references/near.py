@@ -162,6 +162,8 @@ def near_amplitudes(
     side = math.ceil(points * 1.1 * k * (2 * opening + steepest) / 2 * half) + 24
     if max(count, side) > _MOST:
         raise TooLargeError(f"{count}² points of the pupil, {side}² of the spot")
+    # Before the long sums: whether the aperture's points are too many.
+    through_aperture(np.zeros((2, 2), np.complex128), np.array([-radius, radius]), sine, k, probe, pixels, points)
     nodes, weights = legendre(side)
     x, line = legendre(count)[0] * radius, nodes * half
     e = np.stack([one.ravel() for one in np.meshgrid(x, x)], 1)

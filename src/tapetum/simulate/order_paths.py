@@ -36,13 +36,13 @@ from tapetum.simulate.traced_bundle import length, rim_plane, trace_bundle
 
 __all__ = ["PLACES", "OrderPaths", "order_paths"]
 
-# Places across the spot between which X is interpolated: for X ∝ v² it is off by a thousandth of its largest value.
-PLACES = 17
+# Places across the spot between which X is interpolated: for X ∝ v² it is off by a hundredth of its largest value.
+PLACES = 11
 # Degrees of E and e in v and in the other argument, of d(v), and of Ψ(e).
 _PLACE_DEGREE, _WAY_DEGREE, _ENTERING_DEGREE, _PATH_DEGREE = 3, 5, 8, 16
 # Places v and directions that are traced: to fit, and to check. Squared distance of those from a box's middle, in half
 # widths.
-_TRACED, _CHECKED, _NEAR = 4096, 1024, 1.1
+_TRACED, _CHECKED, _NEAR = 2048, 512, 1.1
 # The box about directions is wider than that of light from y0, by which it is found: places aside see the pupil aside.
 _WIDER = 1.15
 # Squared height over a rim's up to which rays are fitted.

@@ -117,10 +117,9 @@ class TracedLight:
     """Light that is followed off one plane.
 
     `fits` are its pupils, `by_rays` whether rays correct them, for light up to the angle `accepted`; `orders` the paths
-    of the plane's orders, where they have their own; `departure` the
-    RMS of the rays' paths against the model's in metres; `unsure` the error of what is left of it; `angle` the largest
-    at which light leaves, and `bright` and `steepest` the sines of the steepest tilts for which the claim is made, and
-    that is asked for.
+    of the plane's orders, where they have their own; `departure` the RMS of the rays' paths against the model's in
+    metres; `unsure` the error of what is left of it; `angle` the largest at which light leaves, and `bright` and
+    `steepest` the sines of the steepest tilts for which the claim is made, and that is asked for.
     """
 
     fits: PupilFits
