@@ -36,8 +36,8 @@ from tapetum.simulate.traced_bundle import length, rim_plane, trace_bundle
 
 __all__ = ["PLACES", "OrderPaths", "order_paths"]
 
-# Places across the spot between which X is interpolated: for X ∝ v² it is off by a hundredth of its largest value.
-PLACES = 11
+# Places across the spot between which X is interpolated, and how far that is off for X ∝ v², over its largest value.
+PLACES, _INTERPOLATED = 11, 0.01
 # Degrees of E and e in v and in the other argument, of d(v), and of Ψ(e).
 _PLACE_DEGREE, _WAY_DEGREE, _ENTERING_DEGREE, _PATH_DEGREE = 3, 5, 8, 16
 # Places v and directions that are traced: to fit, and to check. Squared distance of those from a box's middle, in half
@@ -76,6 +76,11 @@ class OrderPaths:
         """The same on another device."""
         moved = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, Fit | torch.Tensor)}
         return replace(self, **moved)
+
+    @property
+    def between(self) -> float:
+        """What X is off by between the `PLACES` at which it is computed, in metres."""
+        return _INTERPOLATED * self.departure
 
     def spot(self, tilt: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Middle and half widths [B, 2] of the box about the spot's rays at tilts given as `TiltNodes.terms` [B, T]."""

@@ -281,7 +281,7 @@ def followed(scene: TracedScene, accuracy: float, orders: Sequence[Order] = (), 
     weight, paths = _weight(others, fits.aperture[0]), None
     if near and blurred and aside * weight > _OF_ORDERS * accuracy:
         paths = order_paths(focused, pupils, curvature=scene.curvature)
-        aside = 2 * math.pi * paths.misfit / wavelength
+        aside = 2 * math.pi * (paths.misfit + paths.between) / wavelength
     unsure += aside * weight
     coarser = (
         f"ask for an accuracy of {accuracy_above(unsure):g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
