@@ -227,6 +227,9 @@ def _blur(lens: Traced, sine: float, curvature: float, edge: Real, centre: Real)
     if curvature:
         way = np.concatenate([edge, np.zeros((len(edge), 1))], 1) + towards / curvature
         way = way / np.linalg.norm(way, axis=1, keepdims=True)
+    rays = lens.trace(0.98 * start + 0.02 * start * [0.0, 0.0, 1.0], way)
+    if float(rays.height.max()) > 1:
+        raise TooLargeError("other rims than the stop's limit this light")
     rays = lens.trace(start, way)
     at = rays.position + ((lens.image - rays.position[:, 2]) / rays.direction[:, 2])[:, None] * rays.direction
     return float(np.hypot(*(at[:, :2] - centre).T).max())

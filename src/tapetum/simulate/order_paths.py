@@ -57,7 +57,7 @@ class OrderPaths:
     from y0 leaves by, Ψ(e), s along the tilt and across it, and `leaving` that of the pass, which adds c to Ψ. `centre`
     and `half` [T, 2] are coefficients in the tilt of the box about directions o; `excess` [T, M] those of E(v, e),
     `along` [T, M] and `across` [T, K] of e(v, o). `misfit` is the worst RMS error of X at tilts between the nodes,
-    `departure` the worst RMS of X itself, both about their means over all that leaves, in metres.
+    `departure` the worst RMS of X itself, both against a mirror's light, over all that leaves, in metres.
     """
 
     nodes: TiltNodes
@@ -89,11 +89,15 @@ class OrderPaths:
     def at(self, tilt: torch.Tensor, places: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
         """X [B, M, N] in metres at places v [B, N, 2], across and along the tilt, of M orders' directions [B, M, 2]."""
         places = _within(places, *self.spot(tilt))
-        even, odd = values_at(self.entering, tilt, places)
-        way = torch.stack([odd[:, 0], even[:, 0]], -1)[:, None] + directions[:, :, None]
+        way = self.enters(tilt, places)[:, None] + directions[:, :, None]
         orders, count = way.shape[1:3]
         v = places[:, None].expand(-1, orders, -1, -1).flatten(1, 2)
         return self.added(tilt, v, self.leaves_at(tilt, v, way.flatten(1, 2))).reshape(-1, orders, count)
+
+    def enters(self, tilt: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """d [B, N, 2] of light that meets places v [B, N, 2]: a mirror sends it out in the same direction across."""
+        even, odd = values_at(self.entering, tilt, v)
+        return torch.stack([odd[:, 0], even[:, 0]], -1)
 
     def leaves_at(self, tilt: torch.Tensor, v: torch.Tensor, way: torch.Tensor) -> torch.Tensor:
         """e [B, N, 2] of light that leaves places v [B, N, 2] in directions o [B, N, 2]."""
@@ -153,7 +157,8 @@ def order_paths(focused: FocusedLens, fits: PupilFits, *, curvature: float = 0.0
     none = torch.zeros(nodes.count, 0, dtype=torch.float64)
     found = OrderPaths(nodes, entering, usual, fits.leaving, centre, half, none, none, none)
     tilt = nodes.terms(nodes.sines)
-    v, way, e, excess, far = _traced(focused, fits, found, nodes.sines, 0, _TRACED)
+    v, way = _points(found, tilt, 0, _TRACED)
+    e, excess, far = _traced(focused, fits, found, nodes.sines, v, way)
     place, use = _scaled(v, *found.spot(tilt)), far <= _STRAY
     to = torch.cat([place, _scaled(way, tilt @ centre, tilt @ half)], -1)
     along = least_squares(_basis(to, 0), e[..., 1:], use)[..., 0]
@@ -165,28 +170,42 @@ def order_paths(focused: FocusedLens, fits: PupilFits, *, curvature: float = 0.0
     # Halfway between the nodes, where nothing was fitted.
     sines = (nodes.sines[1:] + nodes.sines[:-1]) / 2
     tilt = nodes.terms(sines)
-    v, way, e, excess, far = _traced(focused, fits, found, sines, _TRACED, _CHECKED)
-    own = excess - found.known(tilt, e)
-    left = own - found.added(tilt, v, found.leaves_at(tilt, v, way))
-    some = (far <= 1) & (length(_scaled(e, *found.pupil(tilt))) <= 1)
-    return replace(found, misfit=_spread(left, some), departure=_spread(own, some))
+    v, way = _points(found, tilt, _TRACED, _CHECKED)
+
+    def checked(way: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """X of real rays and its error, [F, N], and which rays leave by the pupil."""
+        e, excess, far = _traced(focused, fits, found, sines, v, way)
+        own = excess - found.known(tilt, e)
+        left = own - found.added(tilt, v, found.leaves_at(tilt, v, way))
+        return own, left, (far <= 1) & (length(_scaled(e, *found.pupil(tilt))) <= 1)
+
+    own, left, some = checked(way)
+    # A mirror's light is not turned, so what it has in common with that of orders is no error.
+    own_mirror, left_mirror, mirrored = checked(found.enters(tilt, v))
+    misfit, departure = (
+        _rms(one - _mean(mirror, mirrored), some) for one, mirror in ((left, left_mirror), (own, own_mirror))
+    )
+    return replace(found, misfit=misfit, departure=departure)
 
 
-def _traced(
-    focused: FocusedLens, fits: PupilFits, found: OrderPaths, sines: torch.Tensor, first: int, count: int
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Places v and directions o [F, N, 2], e [F, N, 2] and E [F, N] of their rays, and how far out these are at most.
-
-    The last is the largest squared height over a rim's [F, N], infinite for rays that do not come through. `first` and
-    `count` are those of a sequence of points.
-    """
+def _points(found: OrderPaths, tilt: torch.Tensor, first: int, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Places v and directions o [F, N, 2] all over their boxes: `count` points of a sequence, from the `first` on."""
     points = qmc.Halton(4, scramble=False).fast_forward(first).random(count)
     u = 2 * torch.as_tensor(points, dtype=torch.float64) - 1
     u = u[((u[:, :2] ** 2).sum(-1) <= _NEAR) & ((u[:, 2:] ** 2).sum(-1) <= _NEAR)]
-    tilt = found.nodes.terms(sines)
     centre, half = found.spot(tilt)
     v = centre[:, None] + half[:, None] * u[:, :2]
-    way = (tilt @ found.centre)[:, None] + (tilt @ found.half)[:, None] * u[:, 2:]
+    return v, (tilt @ found.centre)[:, None] + (tilt @ found.half)[:, None] * u[:, 2:]
+
+
+def _traced(
+    focused: FocusedLens, fits: PupilFits, found: OrderPaths, sines: torch.Tensor, v: torch.Tensor, way: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """e [F, N, 2] and E [F, N] of rays that leave v in directions o [F, N, 2], and how far out these are at most.
+
+    The last is the largest squared height over a rim's [F, N], infinite for rays that do not come through.
+    """
+    tilt = found.nodes.terms(sines)
     middle = tilt @ fits.middle
     at = torch.stack([v[..., 0], v[..., 1] + middle[:, None], torch.full_like(v[..., 0], float(focused.image))], -1)
     direction = torch.cat([way, -torch.sqrt(1 - (way**2).sum(-1, keepdim=True))], -1)
@@ -200,7 +219,7 @@ def _traced(
     excess = back.path + more + sines[:, None] * e[..., 1] - model
     whole = back.good & torch.isfinite(excess)
     far = torch.where(whole, back.height.amax(-1), torch.inf)
-    return v, way, torch.where(whole[..., None], e, 0.0), torch.where(whole, excess, 0.0), far
+    return torch.where(whole[..., None], e, 0.0), torch.where(whole, excess, 0.0), far
 
 
 def _scaled(places: torch.Tensor, centre: torch.Tensor, half: torch.Tensor) -> torch.Tensor:
@@ -231,8 +250,11 @@ def _basis(u: torch.Tensor, parity: int) -> torch.Tensor:
     return found
 
 
-def _spread(values: torch.Tensor, some: torch.Tensor) -> float:
-    """Largest standard deviation, over some of each row's values [F, N]: what all orders have in common is no error."""
-    count = some.sum(-1, keepdim=True).clamp_min(1)
-    apart = values - torch.where(some, values, 0.0).sum(-1, keepdim=True) / count
-    return float((torch.where(some, apart**2, 0.0).sum(-1, keepdim=True) / count).max().sqrt())
+def _mean(values: torch.Tensor, some: torch.Tensor) -> torch.Tensor:
+    """Over some of each row's values [F, N], [F, 1]; 0 where there are none."""
+    return torch.where(some, values, 0.0).sum(-1, keepdim=True) / some.sum(-1, keepdim=True).clamp_min(1)
+
+
+def _rms(values: torch.Tensor, some: torch.Tensor) -> float:
+    """The largest, over some of each row's values [F, N]."""
+    return float(_mean(values**2, some).max().sqrt())
