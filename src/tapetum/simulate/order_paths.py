@@ -14,6 +14,7 @@ order at any azimuth of the tilt. Light that misses the pupil counts as that whi
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import torch
@@ -26,8 +27,9 @@ from tapetum.simulate.pupil_fits import (
     Fit,
     PupilFits,
     TiltNodes,
+    basis,
     boxes,
-    chebyshev,
+    first_at,
     fit_functions,
     least_squares,
     values_at,
@@ -90,9 +92,7 @@ class OrderPaths:
         """X [B, M, N] in metres at places v [B, N, 2], across and along the tilt, of M orders' directions [B, M, 2]."""
         places = _within(places, *self.spot(tilt))
         way = self.enters(tilt, places)[:, None] + directions[:, :, None]
-        orders, count = way.shape[1:3]
-        v = places[:, None].expand(-1, orders, -1, -1).flatten(1, 2)
-        return self.added(tilt, v, self.leaves_at(tilt, v, way.flatten(1, 2))).reshape(-1, orders, count)
+        return self.added(tilt, places, self.leaves_at(tilt, places, way))
 
     def enters(self, tilt: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
         """d [B, N, 2] of light that meets places v [B, N, 2]: a mirror sends it out in the same direction across."""
@@ -100,20 +100,17 @@ class OrderPaths:
         return torch.stack([odd[:, 0], even[:, 0]], -1)
 
     def leaves_at(self, tilt: torch.Tensor, v: torch.Tensor, way: torch.Tensor) -> torch.Tensor:
-        """e [B, N, 2] of light that leaves places v [B, N, 2] in directions o [B, N, 2]."""
+        """e [B, M, N, 2] of light that leaves places v [B, N, 2] in directions o [B, M, N, 2]."""
         box = tilt @ self.centre, tilt @ self.half
-        u = torch.cat([_scaled(v, *self.spot(tilt)), _scaled(_within(way, *box), *box)], -1)
-        across, along = (
-            torch.einsum("bnm,bm->bn", _basis(u, parity), tilt @ one)
-            for parity, one in ((1, self.across), (0, self.along))
-        )
-        return torch.stack([across, along], -1)
+        place = _products(_scaled(v, *self.spot(tilt)), _PLACE_DEGREE)
+        to = _products(_scaled(_within(way, *box), *box), _WAY_DEGREE)
+        return torch.stack([_sum(tilt @ self.across, place, to, 1), _sum(tilt @ self.along, place, to, 0)], -1)
 
     def added(self, tilt: torch.Tensor, v: torch.Tensor, e: torch.Tensor) -> torch.Tensor:
-        """E - c [B, N] of light from v [B, N, 2] that leaves at e [B, N, 2]."""
+        """E - c [B, M, N] of light from v [B, N, 2] that leaves at e [B, M, N, 2]."""
         e = _within(e, *self.pupil(tilt))
-        u = torch.cat([_scaled(v, *self.spot(tilt)), _scaled(e, *self.whole(tilt))], -1)
-        excess = torch.einsum("bnm,bm->bn", _basis(u, 0), tilt @ self.excess)
+        place = _products(_scaled(v, *self.spot(tilt)), _PLACE_DEGREE)
+        excess = _sum(tilt @ self.excess, place, _products(_scaled(e, *self.whole(tilt)), _WAY_DEGREE), 0)
         return excess - self.known(tilt, e)
 
     def pupil(self, tilt: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -125,8 +122,9 @@ class OrderPaths:
         return tilt @ self.usual.centre, tilt @ self.usual.half
 
     def known(self, tilt: torch.Tensor, e: torch.Tensor) -> torch.Tensor:
-        """c [B, N] at places [B, N, 2] of the entrance pupil."""
-        return values_at(self.leaving, tilt, e)[0][:, 0] - values_at(self.usual, tilt, e)[0][:, 0]
+        """c [B, ...] at places [B, ..., 2] of the entrance pupil."""
+        leaving, usual = (first_at(one, tilt, e.flatten(1, -2)) for one in (self.leaving, self.usual))
+        return (leaving - usual).reshape(e.shape[:-1])
 
 
 def order_paths(focused: FocusedLens, fits: PupilFits, *, curvature: float = 0.0) -> OrderPaths:
@@ -160,11 +158,10 @@ def order_paths(focused: FocusedLens, fits: PupilFits, *, curvature: float = 0.0
     v, way = _points(found, tilt, 0, _TRACED)
     e, excess, far = _traced(focused, fits, found, nodes.sines, v, way)
     place, use = _scaled(v, *found.spot(tilt)), far <= _STRAY
-    to = torch.cat([place, _scaled(way, tilt @ centre, tilt @ half)], -1)
-    along = least_squares(_basis(to, 0), e[..., 1:], use)[..., 0]
-    across = least_squares(_basis(to, 1), e[..., :1], use)[..., 0]
-    between = torch.cat([place, _scaled(e, *found.whole(tilt))], -1)
-    more = least_squares(_basis(between, 0), excess[..., None], use)[..., 0]
+    to = _scaled(way, tilt @ centre, tilt @ half)
+    along = least_squares(_basis(place, to, 0), e[..., 1:], use)[..., 0]
+    across = least_squares(_basis(place, to, 1), e[..., :1], use)[..., 0]
+    more = least_squares(_basis(place, _scaled(e, *found.whole(tilt)), 0), excess[..., None], use)[..., 0]
     excess, along, across = (nodes.coefficients(one) for one in (more, along, across))
     found = replace(found, excess=excess, along=along, across=across)
     # Halfway between the nodes, where nothing was fitted.
@@ -176,7 +173,7 @@ def order_paths(focused: FocusedLens, fits: PupilFits, *, curvature: float = 0.0
         """X of real rays and its error, [F, N], and which rays leave by the pupil."""
         e, excess, far = _traced(focused, fits, found, sines, v, way)
         own = excess - found.known(tilt, e)
-        left = own - found.added(tilt, v, found.leaves_at(tilt, v, way))
+        left = own - found.added(tilt, v, found.leaves_at(tilt, v, way[:, None]))[:, 0]
         return own, left, (far <= 1) & (length(_scaled(e, *found.pupil(tilt))) <= 1)
 
     own, left, some = checked(way)
@@ -223,31 +220,50 @@ def _traced(
 
 
 def _scaled(places: torch.Tensor, centre: torch.Tensor, half: torch.Tensor) -> torch.Tensor:
-    return (places - centre[:, None]) / half[:, None]
+    """Places [B, ..., 2] in half widths of a box from its middle, [B, 2] each."""
+    shape = len(places), *[1] * (places.ndim - 2), 2
+    return (places - centre.reshape(shape)) / half.reshape(shape)
 
 
 def _within(places: torch.Tensor, centre: torch.Tensor, half: torch.Tensor) -> torch.Tensor:
-    """Places [B, N, 2] moved into the ellipse of a box: polynomials are of no use beyond their rays."""
-    u = _scaled(places, centre, half)
-    return centre[:, None] + half[:, None] * u / length(u)[..., None].clamp_min(1)
+    """Places [B, ..., 2] moved into the ellipse of a box: polynomials are of no use beyond their rays."""
+    beyond = length(_scaled(places, centre, half))[..., None].clamp_min(1)
+    middle = centre.reshape(len(places), *[1] * (places.ndim - 2), 2)
+    return middle + (places - middle) / beyond
 
 
-def _basis(u: torch.Tensor, parity: int) -> torch.Tensor:
-    """Products of Chebyshev polynomials [..., M] at scaled places u [..., 4], even or odd across the tilt."""
-    first, second = range(_PLACE_DEGREE + 1), range(_WAY_DEGREE + 1)
-    terms = [
-        (i, j, k, m)
-        for i in first
-        for j in first[: len(first) - i]
-        for k in second
-        for m in second[: len(second) - k]
-        if (i + k) % 2 == parity
-    ]
-    values = chebyshev(u, 1 + max(_PLACE_DEGREE, _WAY_DEGREE))
-    found = torch.ones_like(u[..., :1])
-    for axis in range(4):
-        found = found * values[..., axis, :][..., [term[axis] for term in terms]]
-    return found
+def _terms(degree: int) -> list[tuple[int, int]]:
+    return [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+
+
+def _products(u: torch.Tensor, degree: int) -> torch.Tensor:
+    """Products [..., M] of Chebyshev polynomials at scaled places u [..., 2]."""
+    return basis(u, _terms(degree))
+
+
+@functools.cache
+def _paired(parity: int) -> list[int]:
+    """Which pairs of a place's and a way's products are even or odd across the tilt, as numbers in a table."""
+    place, way = _terms(_PLACE_DEGREE), _terms(_WAY_DEGREE)
+    pairs = [(first, second) for first in range(len(place)) for second in range(len(way))]
+    return [n for n, (first, second) in enumerate(pairs) if (place[first][0] + way[second][0]) % 2 == parity]
+
+
+def _basis(place: torch.Tensor, way: torch.Tensor, parity: int) -> torch.Tensor:
+    """Products [..., M] at scaled places and ways u [..., 2], even or odd across the tilt."""
+    first, second = _products(place, _PLACE_DEGREE), _products(way, _WAY_DEGREE)
+    return (first[..., :, None] * second[..., None, :]).flatten(-2)[..., _paired(parity)]
+
+
+def _sum(coefficients: torch.Tensor, place: torch.Tensor, way: torch.Tensor, parity: int) -> torch.Tensor:
+    """Sums [B, M, N] of the products of `_basis`, from those of places [B, N, P] and of ways [B, M, N, W].
+
+    A place's part is the same for all orders.
+    """
+    table = coefficients.new_zeros(len(coefficients), place.shape[-1] * way.shape[-1])
+    table[:, _paired(parity)] = coefficients
+    part = place @ table.reshape(-1, place.shape[-1], way.shape[-1])
+    return torch.einsum("bnw,bmnw->bmn", part, way)
 
 
 def _mean(values: torch.Tensor, some: torch.Tensor) -> torch.Tensor:

@@ -23,9 +23,11 @@ __all__ = [
     "Part",
     "PupilFits",
     "TiltNodes",
+    "basis",
     "boxes",
     "chebyshev",
     "edge_weights",
+    "first_at",
     "fit_functions",
     "fit_leaving",
     "fit_pupils",
@@ -353,6 +355,12 @@ def values_at(fit: Fit, tilt: torch.Tensor, places: torch.Tensor) -> tuple[torch
     """Even and odd functions [B, K, N] at places [B, N, 2], across and along tilts given as `TiltNodes.terms`."""
     u = (places - (tilt @ fit.centre)[:, None]) / (tilt @ fit.half)[:, None]
     return _even(fit, tilt, u), _odd(fit, tilt, u)
+
+
+def first_at(fit: Fit, tilt: torch.Tensor, places: torch.Tensor) -> torch.Tensor:
+    """The first even function [B, N], as `values_at` has it."""
+    u = (places - (tilt @ fit.centre)[:, None]) / (tilt @ fit.half)[:, None]
+    return _of_terms(fit.even[:1], fit.degrees[0], 0, tilt, u)[:, 0]
 
 
 def on_grid(
