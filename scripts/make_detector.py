@@ -6,8 +6,8 @@
 The first folder holds pictures and `labels.json`: `pairs`, each with `scene`, `lit`, `dark` (file names), `points` and
 `unsure` (x, y in the lit frame; what is unsure counts neither way) and `tolerance` (pixels). Frames of one scene are
 near copies: scenes weigh the same, and what is printed is cross-validated by scene. Each dark frame is also shaken, as
-by a hand: turned, shifted and bent at random. To the weighted looks of a pair comes a share of what the second stage
-says, which learned from drawn scenes alone (train_second.py).
+by a hand: turned, shifted and bent at random. To the weighted looks of a pair comes what the networks say, which
+learned from drawn scenes alone (train_second.py, train_third.py).
 
 The weights for one frame alone are fitted to photographs with cameras drawn in (photographs.py), to no labelled frame:
 six scenes are too few (chosen on five, they fail on the sixth). The stored ones are of the 500 photographs of the
@@ -39,8 +39,17 @@ from drawn_scenes import KINDS, draw
 from photographs import Posed, paths_in, posed
 from photographs import read as read_photograph
 from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
-from tapetum.detection.find import Candidates, candidates_with_looks, clutter_of_frame, clutter_of_pair, second_look
+from tapetum.detection.find import (
+    DECOYS_LOOKED_AGAIN,
+    LOOKED_AGAIN,
+    Candidates,
+    candidates_with_looks,
+    clutter_of_frame,
+    clutter_of_pair,
+    second_look,
+)
 from tapetum.detection.score import Score
+from tapetum.detection.third import SUREST, Told, load_third, third_input
 from tapetum.files import atomic_file
 
 OUT = Path(__file__).parents[1] / "src" / "tapetum" / "detection" / "weights.json"
@@ -49,15 +58,15 @@ UNSURE = 14.0
 """Within so many pixels of a place that may be a camera nothing counts."""
 SHAKES = 2
 STRENGTH = 0.3
-SECOND = 0.5
-"""Share of the second stage's log odds, chosen on drawn scenes of seeds 61000 to 61005, the real ones in view."""
-MOST = -1.0
-"""Most log odds that the looks alone may give, chosen on drawn scenes (62000 to 62119), the real ones in view."""
+NETWORKS = 0.7
+"""Share of the networks' log odds, chosen on drawn scenes of seeds 90000 to 91059, the real ones in view."""
+LIMITS = -5.0, -1.0
+"""Least and most log odds that the looks alone may give, chosen in the same way."""
 LEFT_OUT = {
     "pair": ("clear", "level", "above", "apart", "twin"),
     "frame": ("outlier",),
 }
-"""Looks that no weight is fitted to. In a pair only the second stage uses them: with them the weights fitted to some
+"""Looks that no weight is fitted to. In a pair only the networks use them: with them the weights fitted to some
 scenes hold less well on others. Of a frame alone: where many cameras stand in one, none of them is an outlier."""
 LEVELS = np.arange(-12, 8, 0.25)
 """Log odds whose cost is counted."""
@@ -81,8 +90,8 @@ BEST, OTHERS = 16, 6
 class Case:
     """A labelled frame: its candidates [N, 2], their looks [N, features], and which are cameras or neither.
 
-    `second` [N] is what the second stage says of them, `worth` [N] by what they were chosen. `decoys` are those of
-    a pair: looks [M, features] and what the second stage says, [M].
+    `worth` [N] is by what they were chosen. Of a pair, `found` and `decoys` are what the third stage is told of the
+    candidates and the decoys; the second stage has looked at all of them.
     """
 
     scene: str
@@ -91,10 +100,10 @@ class Case:
     camera: np.ndarray
     counted: np.ndarray
     glints: int
-    second: np.ndarray
     worth: np.ndarray
     shaken: bool = False
-    decoys: tuple[np.ndarray, np.ndarray] | None = None
+    found: Told | None = None
+    decoys: Told | None = None
 
 
 def read(path: Path) -> np.ndarray:
@@ -130,7 +139,7 @@ def matched(scene: str, found: Candidates, known: Iterable[tuple[ArrayLike, floa
         if reach and len(near):
             camera[near[np.argmax(columns["snr"][near])]] = True
         glints += reach > 0
-    return Case(scene, places, looks, camera, counted | camera, glints, np.zeros(len(looks)), columns["worth"])
+    return Case(scene, places, looks, camera, counted | camera, glints, columns["worth"])
 
 
 def case(pair: dict, lit: np.ndarray, dark: np.ndarray | None, shaken: bool = False) -> Case:
@@ -139,9 +148,12 @@ def case(pair: dict, lit: np.ndarray, dark: np.ndarray | None, shaken: bool = Fa
     one = matched(pair["scene"], found, known + [(point, UNSURE, 0) for point in pair["unsure"]])
     if others is None:
         return one
-    decoys = others.looks, second_look(others, others.looks[:, 0], len(others.looks))
-    again = second_look(found, found.looks[:, 0], len(found.looks))
-    return replace(one, second=again, shaken=shaken, decoys=decoys)
+    return replace(one, shaken=shaken, found=_seen(found), decoys=_seen(others))
+
+
+def _seen(some: Candidates) -> Told:
+    """What the third stage is told, with a second look at all."""
+    return Told(some.looks, some.columns["clear"], second_look(some, some.looks[:, 0], len(some.looks)))
 
 
 def fit(cases: list[Case], strength: float = STRENGTH) -> LogisticRegression:
@@ -195,10 +207,25 @@ def _learned(name: str, scene: Posed, found: Candidates, rng: np.random.Generato
     return replace(one, counted=kept)
 
 
-def by(model: LogisticRegression, looks: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Log odds of a pair's candidates by fitted weights."""
-    by_looks = model.decision_function(_fitted(looks)) if len(looks) else np.empty(0)
-    return Score((), 0.0, ((), ()), SECOND, MOST).joined(by_looks, second)
+def by(model: LogisticRegression, one: Case) -> tuple[np.ndarray, float]:
+    """Log odds of a pair's candidates by fitted weights and the networks, and how cluttered the pair is."""
+    assert one.found is not None and one.decoys is not None
+    odds, of_decoys = (
+        model.decision_function(_fitted(some.looks)) if len(some.looks) else np.empty(0)
+        for some in (one.found, one.decoys)
+    )
+    found, decoys = _limited(one.found, odds, LOOKED_AGAIN), _limited(one.decoys, of_decoys, DECOYS_LOOKED_AGAIN)
+    score = Score((), 0.0, ((), ()), NETWORKS, LIMITS)
+    joined = score.joined(odds, load_third().log_odds(third_input(found, decoys)))
+    return joined, clutter_of_pair(score.joined(of_decoys, decoys.again))
+
+
+def _limited(some: Told, odds: np.ndarray, most: int) -> Told:
+    """The second stage's log odds of the likeliest only, as in a search."""
+    again = np.full(len(odds), -SUREST)
+    best = np.argsort(-odds, kind="stable")[:most]
+    again[best] = some.again[best]
+    return replace(some, again=again)
 
 
 def crossed(cases: list[Case]) -> tuple[list[np.ndarray], list[float]]:
@@ -206,8 +233,8 @@ def crossed(cases: list[Case]) -> tuple[list[np.ndarray], list[float]]:
     models = {}
     for scene in sorted({one.scene for one in cases}):
         models[scene] = fit([one for one in cases if one.scene != scene])
-    scores = [by(models[one.scene], one.looks, one.second) for one in cases]
-    return scores, [clutter_of_pair(by(models[one.scene], *one.decoys)) for one in cases if one.decoys is not None]
+    told = [by(models[one.scene], one) for one in cases]
+    return [odds for odds, _ in told], [clutter for _, clutter in told]
 
 
 def recalled(cases: list[Case], scores: list[np.ndarray]) -> dict[float, float]:
@@ -382,8 +409,8 @@ class Fitted:
 def fitted_pair(cases: list[Case], empty: list[Case]) -> Fitted:
     """Fitted to the cases; what is said of each is by weights fitted to the other scenes."""
     model, (scores, clutter) = fit(cases), crossed(cases)
-    of_empty = [by(model, one.looks, one.second) for one in empty]
-    empty_clutter = [clutter_of_pair(by(model, *one.decoys)) for one in empty if one.decoys is not None]
+    told = [by(model, one) for one in empty]
+    of_empty, empty_clutter = [odds for odds, _ in told], [level for _, level in told]
     return Fitted(*_weights_of(model, cases[0]), scores, clutter, of_empty, empty_clutter)
 
 
@@ -456,7 +483,6 @@ def main() -> None:
         spared = [without_reflector(one) for one in cases]
         print("standing, no reflector", recalled([spared[n] for n in still], [ranks[n] for n in still]))
         print("all, no reflector", recalled(spared, ranks))
-        print("the second stage alone, all", recalled(cases, [one.second for one in cases]))
     told(kind, cases, costs_by_others(cases, real, scores, photographed, drawn))
     # Of pairs it is fitted as if all were of the usual clutter.
     risen = [
@@ -466,8 +492,8 @@ def main() -> None:
     known[kind] = {
         "weights": dict(zip(names, np.round(fitted.weights, 4).tolist(), strict=True)),
         "offset": round(fitted.offset, 4),
-        "second": SECOND if pair else 0.0,
-        "most": MOST if pair else None,
+        "networks": NETWORKS if pair else 0.0,
+        "limits": LIMITS if pair else None,
         "calibration": np.round(scaled(cases, scores, risen), 4).tolist(),
         "alarms": [levels, rates],
         "clutter": [usual, rises],

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
@@ -14,18 +15,21 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import load, save
 from threadpoolctl import threadpool_info, threadpool_limits
 
 import tapetum as tp
 import train_second
-from drawn_scenes import KINDS, draw
+import train_third
+from drawn_scenes import KINDS, Drawn, draw
 from tapetum.blas import one_blas_thread
 from tapetum.detection import find_each
 from tapetum.detection.features import beside_rivals
-from tapetum.detection.find import candidates_with_looks, clutter_of_frame, clutter_of_pair, scored, second_look
+from tapetum.detection.find import Candidates, candidates_with_looks, clutter_of_frame, judged, second_look, told_of
 from tapetum.detection.registration import register
 from tapetum.detection.score import load_score
 from tapetum.detection.second import Second
+from tapetum.detection.third import OF_THE_FRAME, Third, Told, load_third, third_input
 from tapetum.errors import InputError
 
 REAL = Path(__file__).parents[2] / ".." / "shared" / "data" / "lit-dark"
@@ -45,6 +49,12 @@ def room(seed: int, height: int = 300, width: int = 400) -> np.ndarray:
         else:
             cv2.circle(picture, (int(x), int(y)), int(rng.uniform(2, 14)), level, -1)
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.9))
+
+
+def _with_decoys(scene: Drawn) -> tuple[Candidates, Candidates]:
+    found, decoys = candidates_with_looks(scene.lit, scene.dark)
+    assert decoys is not None
+    return found, decoys
 
 
 def exposed(picture: np.ndarray, seed: int, shift: tuple[float, float] = (0, 0), turn: float = 0.0) -> np.ndarray:
@@ -380,6 +390,50 @@ def test_the_second_stage_tells_cameras_from_what_moved() -> None:
     assert np.median(odds[True]) > np.quantile(odds[False], 0.98)
 
 
+def test_the_third_stage_computes_what_was_trained() -> None:
+    """Against torch, with weights drawn at random: the networks' mean, and the scale of the input."""
+    rng = np.random.default_rng(5)
+    features, label = rng.normal(0, 1, (40, 7)).astype(np.float32), rng.integers(0, 2, 40).astype(np.float32)
+    networks = [train_third.trained(features, label, seed) for seed in (3, 4)]
+    mean, spread = np.linspace(-1, 1, 7, dtype=np.float32), np.linspace(0.5, 2, 7, dtype=np.float32)
+    stored = load(save(train_third.weights_of(networks, mean, spread)))
+    third = Third({name: one.astype(np.float32) for name, one in stored.items()})
+    with torch.no_grad():
+        wanted = np.mean([one(torch.from_numpy(features)).numpy()[:, 0] for one in networks], axis=0)
+    told = third.log_odds(features * spread + mean)
+    assert told == pytest.approx(wanted, abs=3e-3) and np.ptp(wanted) > 0.05
+    assert third.log_odds(1e6 * features) == pytest.approx(third.log_odds(1e9 * features))
+
+
+def test_the_third_stage_is_told_how_decoys_do_and_how_high_ordinary_places_stand() -> None:
+    looks, heights = np.zeros((100, 2)), np.arange(100.0, 0.0, -1.0)
+    found = Told(looks, heights, np.linspace(3, -9, 100))
+    columns = third_input(found, Told(looks[:6], heights[:6], np.linspace(1, -4, 6)))[0, 3:]
+    told = dict(zip(OF_THE_FRAME, columns, strict=True))
+    assert told["decoy 6, clear"] == pytest.approx(np.log(95)) and told["decoy 11, clear"] == -3
+    assert [told[f"decoy {n}, second stage"] for n in (1, 2, 3, 6)] == pytest.approx([1, 0, -1, -4])
+    assert told["candidate 41, clear"] == pytest.approx(np.log(60))
+    # Forty cameras change nothing of what is said of the frame.
+    crowd = Told(looks, np.concatenate([np.full(40, 1e4), heights[40:]]), np.full(100, 9.0))
+    assert third_input(crowd, Told(looks[:6], heights[:6], np.linspace(1, -4, 6)))[0, 3:] == pytest.approx(columns)
+    none = third_input(Told(looks[:0], heights[:0], heights[:0]), Told(looks[:0], heights[:0], heights[:0]))
+    assert none.shape == (0, 2 + 1 + len(OF_THE_FRAME))
+
+
+def test_the_third_stage_believes_less_where_decoys_look_like_cameras() -> None:
+    """The same candidates of drawn rooms, beside their own decoys and beside those of scenes in which people walk."""
+    less = []
+    for seed in (9301, 9302, 9303):
+        scene = draw("room", seed, shape=(360, 480), cameras=4, snr=(12, 40), tape=False)
+        found, own = told_of(*_with_decoys(scene), load_score(True))
+        moved = draw("people", seed, shape=(360, 480), tape=False)
+        _, others = told_of(*_with_decoys(moved), load_score(True))
+        lifted = replace(others, clear=2 * others.clear, again=others.again + 4)
+        odds = [load_third().log_odds(third_input(found, one)) for one in (own, lifted)]
+        less.append(odds[0].max() - odds[1].max())
+    assert min(less) > 0.5
+
+
 def test_a_bright_thing_that_moved_is_less_of_a_camera() -> None:
     """Its twin, 25 pixels off in the dark frame, is beyond the patches that the second stage sees."""
     less = []
@@ -408,7 +462,7 @@ def test_rivals_are_compared_by_height_place_and_likeness() -> None:
 
 def test_the_weights_are_small() -> None:
     folder = resources.files("tapetum.detection")
-    assert len(folder.joinpath("second-pair.safetensors").read_bytes()) < 2**20
+    assert sum(len(folder.joinpath(f"{one}-pair.safetensors").read_bytes()) for one in ("second", "third")) < 2**20
 
 
 @needs_real
@@ -460,8 +514,7 @@ def test_a_pair_in_which_much_moves_is_more_cluttered() -> None:
     clutter = {}
     for kind in ("room", "screens"):
         scenes = [draw(kind, seed, shape=(360, 480), tape=False) for seed in (9201, 9202, 9203)]
-        decoys = [candidates_with_looks(one.lit, one.dark)[1] for one in scenes]
-        clutter[kind] = [clutter_of_pair(scored(one, load_score(True))) for one in decoys if one is not None]
+        clutter[kind] = [judged(*candidates_with_looks(one.lit, one.dark), load_score(True))[1] for one in scenes]
     assert np.median(clutter["screens"]) > np.median(clutter["room"]) + 1
 
 
@@ -476,8 +529,7 @@ def test_of_one_frame_many_cameras_are_no_clutter_and_bright_leaves_are() -> Non
     told = {}
     for kind in ("shade", "leaves"):
         scenes = [draw(kind, seed, shape=(360, 480), tape=False).lit for seed in (9201, 9202, 9203)]
-        all_found = [candidates_with_looks(one, None)[0] for one in scenes]
-        told[kind] = [clutter_of_frame(scored(one, load_score(False)), one.columns["worth"]) for one in all_found]
+        told[kind] = [judged(*candidates_with_looks(one, None), load_score(False))[1] for one in scenes]
     assert np.median(told["leaves"]) > np.median(told["shade"]) + 1
 
 

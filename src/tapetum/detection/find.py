@@ -15,18 +15,22 @@ from tapetum.detection.found import Found
 from tapetum.detection.registration import MATCHED, Registered, local_mean, register
 from tapetum.detection.score import Score, load_score
 from tapetum.detection.second import load_second, views
+from tapetum.detection.third import SUREST, Told, load_third, third_input
 from tapetum.errors import InputError, one_of
 
 __all__ = [
     "CHANNELS",
+    "DECOYS_LOOKED_AGAIN",
     "LARGEST_FRAME",
+    "LOOKED_AGAIN",
     "Candidates",
     "candidates_with_looks",
     "clutter_of_frame",
     "clutter_of_pair",
     "find_cameras",
-    "scored",
+    "judged",
     "second_look",
+    "told_of",
 ]
 
 CHANNELS = ("mean", "red", "green", "blue")
@@ -38,12 +42,14 @@ _SATURATED = OF_A_FRAME.index("saturated")
 _ELONGATION = OF_A_FRAME.index("elongation")
 _FULL = 255.0
 _MOST_OF_A_PAIR, _MOST_ALONE = 100, 200
-# How many of the first candidates the second stage judges, and the limit of its log odds; others get the lowest.
-_LOOKED_AGAIN, _SUREST = 40, 9.0
+LOOKED_AGAIN = 40
+"""How many of the first candidates of a pair the second stage judges."""
+DECOYS_LOOKED_AGAIN = 8
+"""How many of its decoys."""
 # Of an octave's places that only the dark frame shows bright, how many candidates are compared with.
 _RIVALS = 24
-# Decoys of a pair, how many of them the second stage looks at, and how many of the likeliest say how cluttered it is.
-_DECOYS, _DECOYS_LOOKED_AGAIN, _CLUTTER = 24, 8, 3
+# Decoys of a pair, and how many of the likeliest say how cluttered it is.
+_DECOYS, _CLUTTER = 24, 3
 # Of one frame alone, the candidates that say how cluttered it is, by their rank.
 _RANKS = (30, 50)
 # Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
@@ -126,17 +132,13 @@ def find_cameras(
     octaves = layers(first, registered, largest)
     candidates, decoys = _with_decoys(octaves, registered, most, first)
     found, measured = candidates.columns, candidates.looks
-    log_odds = scored(candidates, score)
-    if decoys is None:
-        clutter = clutter_of_frame(log_odds, found["worth"])
-    else:
-        clutter = clutter_of_pair(scored(decoys, score, _DECOYS_LOOKED_AGAIN))
+    log_odds, clutter = judged(candidates, decoys, score)
     alarms = score.false_alarms(log_odds, clutter)
     swapped = False
     if swaps and registered is not None and not (alarms < _LIKELY_NONE).any():
         turned = [one.swapped() for one in octaves]
-        others = scored(_candidates(turned, _screened(turned, most), registered, most, first, swapped=True), score)
-        swapped = bool((score.false_alarms(others, clutter_of_pair(log_odds)) < _LIKELY_ONE).any())
+        others = _candidates(turned, _screened(turned, most), registered, most, first, swapped=True)
+        swapped = bool((score.false_alarms(*judged(others, candidates.first(_DECOYS), score)) < _LIKELY_ONE).any())
     order = np.argsort(-log_odds, kind="stable")
     order = order[alarms[order] <= false_alarms]
     probability = score.probability(log_odds, clutter)
@@ -168,6 +170,12 @@ class Candidates:
     cut: Cut | None
     rows: NDArray[np.int64]
 
+    def first(self, count: int) -> Candidates:
+        """The so many of most worth, in their order."""
+        best = np.sort(np.argsort(-self.columns["worth"], kind="stable")[:count])
+        columns = {name: one[best] for name, one in self.columns.items()}
+        return Candidates(columns, self.looks[best], self.cut, self.rows[best])
+
     @classmethod
     def none(cls, width: int) -> Candidates:
         """No candidates, with so many features."""
@@ -195,10 +203,18 @@ def candidates_with_looks(
     return _with_decoys(layers(lit, registered, largest), registered, most, lit)
 
 
-def scored(candidates: Candidates, score: Score, again: int = _LOOKED_AGAIN) -> Array:
-    """Log odds of candidates, [N]: by their features, and in a pair by the second stage for the highest ones."""
+def judged(candidates: Candidates, decoys: Candidates | None, score: Score) -> tuple[Array, float]:
+    """Log odds of candidates, [N], and how cluttered their frame is; `decoys` are those of a pair.
+
+    Of one frame alone the features tell; in a pair the third stage besides, which is told what the second one sees.
+    """
     odds = score.log_odds(candidates.looks)
-    return score.joined(odds, second_look(candidates, odds, again)) if score.second else odds
+    if decoys is None:
+        return odds, clutter_of_frame(odds, candidates.columns["worth"])
+    found, others = told_of(candidates, decoys, score)
+    third = load_third().log_odds(third_input(found, others))
+    clutter = clutter_of_pair(score.joined(score.log_odds(others.looks), others.again))
+    return score.joined(odds, third), clutter
 
 
 def clutter_of_pair(odds: Array) -> float:
@@ -207,9 +223,9 @@ def clutter_of_pair(odds: Array) -> float:
     As in searches of mass spectra against reversed sequences (Elias and Gygi 2007), the scores of matches that cannot
     be true show how high chance scores.
     """
-    best = np.full(_CLUTTER, -_SUREST)
+    best = np.full(_CLUTTER, -SUREST)
     best[: len(odds)] = np.sort(odds)[::-1][:_CLUTTER]
-    return float(np.maximum(best, -_SUREST).mean())
+    return float(np.maximum(best, -SUREST).mean())
 
 
 def clutter_of_frame(odds: Array, worth: Array) -> float:
@@ -220,21 +236,33 @@ def clutter_of_frame(odds: Array, worth: Array) -> float:
     there are fewer candidates, there is little to mistake.
     """
     first, last = _RANKS
-    ranked = np.full(last, -_SUREST)
+    ranked = np.full(last, -SUREST)
     usual = np.sort(odds[np.argsort(-worth, kind="stable")[:_MOST_OF_A_PAIR]])[::-1][:last]
     ranked[: len(usual)] = usual
-    return float(np.maximum(ranked[first:], -_SUREST).mean())
+    return float(np.maximum(ranked[first:], -SUREST).mean())
 
 
-def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:
+def second_look(candidates: Candidates, odds: Array, most: int = LOOKED_AGAIN) -> Array:
     """Log odds by the second stage of a pair's candidates, [N]: of those with the highest odds; others get the
     lowest."""
-    again = np.full(len(odds), -_SUREST)
+    again = np.full(len(odds), -SUREST)
     if candidates.cut is not None:
         best = np.sort(np.argsort(-odds, kind="stable")[:most])
         told = load_second().log_odds(*views(candidates.cut, candidates.rows[best]), candidates.looks[best])
-        again[best] = np.clip(told, -_SUREST, _SUREST)
+        again[best] = np.clip(told, -SUREST, SUREST)
     return again
+
+
+def told_of(candidates: Candidates, decoys: Candidates, score: Score) -> tuple[Told, Told]:
+    """What the third stage is told of a pair's candidates and of its decoys."""
+    return (
+        _told(candidates, score.log_odds(candidates.looks), LOOKED_AGAIN),
+        _told(decoys, score.log_odds(decoys.looks), DECOYS_LOOKED_AGAIN),
+    )
+
+
+def _told(candidates: Candidates, odds: Array, most: int) -> Told:
+    return Told(candidates.looks, candidates.columns["clear"], second_look(candidates, odds, most))
 
 
 def _with_decoys(

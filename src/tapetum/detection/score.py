@@ -2,12 +2,12 @@
 
 The weights for a pair are those of a logistic regression (scripts/make_detector.py), fitted on lit and dark frames of
 real cat-eyes outdoors and on the same frames shaken as in the hand; weights.json says on which, and what
-cross-validation by scene found. A share of the second stage's log odds (second.py) is added to their sum, which is
-limited first: the real frames show little that moves, which the second stage was trained on. Probabilities are
-calibrated on those frames, each scene left out once. The weights for one frame alone are fitted to photographs with
-cameras drawn in, and to none of the labelled frames, of which there are too few scenes for that; a second stage that
-was trained for it found fewer of the real cameras and is left out. What a score costs in false alarms was counted on
-the labelled frames, on photographs and on drawn scenes without cameras, and rises with a frame's clutter.
+cross-validation by scene found. The log odds of the third stage (third.py) are added to their sum, which is limited
+first: the real frames show little that moves, which the networks were trained on. Probabilities are calibrated on those
+frames, each scene left out once. The weights for one frame alone are fitted to photographs with cameras drawn in, and
+to none of the labelled frames, of which there are too few scenes for that; a second stage that was trained for it found
+fewer of the real cameras and is left out. What a score costs in false alarms was counted on the labelled frames, on
+photographs and on drawn scenes without cameras, and rises with a frame's clutter.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ class Score:
     alarms
         Log odds, rising, and how many false alarms a frame of the usual clutter has above each. The logarithm of these
         is joined by straight lines, which go on beyond both ends.
-    second
-        How much the second stage's log odds count; 0 where there is none.
-    most
-        Largest log odds that the features alone may give where there is a second stage.
+    networks
+        How much the networks' log odds count; 0 where there are none.
+    limits
+        Least and largest log odds that the features alone may give where there are networks.
     clutter
         The usual clutter, and by how much the logarithm of the false alarms at each of those log odds rises with it.
     calibration
@@ -54,18 +54,18 @@ class Score:
     weights: tuple[float, ...]
     offset: float
     alarms: tuple[tuple[float, ...], tuple[float, ...]]
-    second: float = 0.0
-    most: float = math.inf
+    networks: float = 0.0
+    limits: tuple[float, float] = (-math.inf, math.inf)
     clutter: tuple[float, tuple[float, ...]] | None = None
     calibration: tuple[float, float] = (1.0, 0.0)
 
     def log_odds(self, looks: Array) -> Array:
-        """Log odds of candidates from their features (`looks`, [N, features]), without the second stage: [N]."""
+        """Log odds of candidates from their features (`looks`, [N, features]), without the networks: [N]."""
         return looks @ np.array(self.weights) + self.offset
 
-    def joined(self, log_odds: Array, second: Array) -> Array:
-        """Log odds from the features and the second stage together, [N]."""
-        return np.minimum(log_odds, self.most) + self.second * second
+    def joined(self, log_odds: Array, networks: Array) -> Array:
+        """Log odds from the features and the networks together, [N]."""
+        return np.clip(log_odds, *self.limits) + self.networks * networks
 
     def probability(self, log_odds: ArrayLike, clutter: float | None = None) -> Array:
         """Probability of being a camera, [N], where the share of cameras among candidates is as in the fit.
@@ -101,13 +101,13 @@ def load_score(pair: bool) -> Score:
     at, rate = known["alarms"]
     clutter = known.get("clutter")
     weights = tuple(known["weights"].get(name, 0.0) for name in names)
-    most = math.inf if known["most"] is None else known["most"]
+    limits = (-math.inf, math.inf) if known["limits"] is None else tuple(known["limits"])
     return Score(
         weights,
         known["offset"],
         (tuple(at), tuple(rate)),
-        known["second"],
-        most,
+        known["networks"],
+        limits,
         None if clutter is None else (clutter[0], tuple(clutter[1])),
         tuple(known["calibration"]),
     )
