@@ -42,12 +42,11 @@ from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
 from tapetum.detection.find import (
     DECOYS_LOOKED_AGAIN,
     LOOKED_AGAIN,
-    Candidates,
-    candidates_with_looks,
     clutter_of_frame,
     clutter_of_pair,
     second_look,
 )
+from tapetum.detection.measured import Candidates, candidates_with_looks
 from tapetum.detection.score import Score
 from tapetum.detection.third import SUREST, Told, load_third, third_input
 from tapetum.files import atomic_file

@@ -33,7 +33,7 @@ from safetensors.numpy import save
 from torch import nn
 
 from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
-from tapetum.detection.find import candidates_with_looks
+from tapetum.detection.measured import candidates_with_looks
 from tapetum.detection.second import STRIDES, views
 from tapetum.errors import InputError
 from tapetum.files import atomic_file

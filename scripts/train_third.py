@@ -21,7 +21,8 @@ import torch
 from safetensors.numpy import save
 from torch import nn
 
-from tapetum.detection.find import Candidates, candidates_with_looks, told_of
+from tapetum.detection.find import told_of
+from tapetum.detection.measured import Candidates, candidates_with_looks
 from tapetum.detection.score import load_score
 from tapetum.detection.third import FARTHEST, third_input
 from tapetum.errors import InputError

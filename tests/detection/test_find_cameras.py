@@ -25,7 +25,8 @@ from drawn_scenes import KINDS, Drawn, draw
 from tapetum.blas import one_blas_thread
 from tapetum.detection import find_each
 from tapetum.detection.features import beside_rivals
-from tapetum.detection.find import Candidates, candidates_with_looks, clutter_of_frame, judged, second_look, told_of
+from tapetum.detection.find import clutter_of_frame, judged, second_look, told_of
+from tapetum.detection.measured import Candidates, candidates_with_looks
 from tapetum.detection.registration import register
 from tapetum.detection.score import load_score
 from tapetum.detection.second import Second

@@ -10,7 +10,7 @@ import pytest
 
 import make_detector
 import photographs
-from tapetum.detection.find import candidates_with_looks
+from tapetum.detection.measured import candidates_with_looks
 
 
 @pytest.fixture(scope="module")
