@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable
@@ -71,8 +72,9 @@ LEVELS = np.arange(-12, 8, 0.25)
 """Log odds whose cost is counted."""
 EMPTY = {"pair": range(64000, 64060), "frame": range(51000, 51060)}
 """Seeds of the drawn scenes of each kind that say what a score costs."""
-FEWEST, MANY = 3, 20
-"""False alarms that say how many there are, and that say by how much they rise with clutter."""
+MANY, TAIL = 10, 3.0
+"""False alarms of real and of drawn frames that say how many there are; beyond, for so much of the log odds the rates
+are stored that their tail gives."""
 EVEN = 0.01
 """Weight of the squares of a regression's coefficients."""
 REFLECTORS = {"courtyard": (391, 422)}
@@ -310,9 +312,9 @@ def costs(real: list[Alarms], drawn: list[Alarms]) -> tuple[list[float], list[fl
     """Log odds, how many false alarms a frame has above each, the usual clutter, and how they rise with it.
 
     Poisson regressions, one a level: on clutter, and on whether frames are real or drawn, half-way between which the
-    rates are. Real scenes weigh the same as each other, so do kinds of drawn ones, and so do both groups. Where false
-    alarms are few, real and drawn frames share one rate, and the rise with clutter is that of the last level with
-    enough of them.
+    rates are. Real scenes weigh the same as each other, so do kinds of drawn ones, and so do both groups. Where either
+    group has few false alarms left, rates fall exponentially, as much with the log odds as those that are left do, and
+    rise with clutter as at the last level that has enough (peaks over a threshold: Davison and Smith 1990).
     """
     weights, is_real = [], np.repeat([1.0, 0.0], [len(real), len(drawn)])
     for part in (real, drawn):
@@ -325,19 +327,29 @@ def costs(real: list[Alarms], drawn: list[Alarms]) -> tuple[list[float], list[fl
     levels, rates, rises = [], [], []
     for level in LEVELS:
         count = np.array([(one.odds >= level).sum() for one in both])
-        of_real, of_drawn = count[is_real == 1].sum(), count[is_real == 0].sum()
-        apart = min(of_real, of_drawn) >= FEWEST
-        if of_real + of_drawn < FEWEST:
+        if min(count[is_real == 1].sum(), count[is_real == 0].sum()) < MANY:
             break
-        known = np.stack([(clutter - usual) / spread, (is_real - 0.5) * apart], 1)
+        known = np.stack([(clutter - usual) / spread, is_real - 0.5], 1)
         model = PoissonRegressor(alpha=EVEN, max_iter=2000).fit(known, count, weight)
         levels.append(float(level))
         rates.append(float(np.exp(model.intercept_)))
-        rises.append(float(model.coef_[0] / spread) if count.sum() >= MANY or not rises else rises[-1])
+        rises.append(float(model.coef_[0] / spread))
+    # Two groups whose rates fall exponentially: so does their geometric mean, with the mean of both slopes.
+    falls = np.mean([_fall(both, weight * (is_real == group), levels[-1]) for group in (0, 1)])
+    levels.append(levels[-1] + TAIL)
+    rates.append(rates[-1] * math.exp(-falls * TAIL))
+    rises.append(rises[-1])
     kept = np.array(rates) < 30
     rates = np.minimum.accumulate(np.array(rates)[kept] * 0.999 ** np.arange(kept.sum()))
     rounded = [float(f"{one:.3g}") for one in rates]
     return np.array(levels)[kept].tolist(), rounded, round(usual, 2), np.round(np.array(rises)[kept], 3).tolist()
+
+
+def _fall(frames: list[Alarms], weight: np.ndarray, level: float) -> float:
+    """By how much the logarithm of the rate falls a unit of the log odds above a level: one over the mean excess."""
+    excess = [one.odds[one.odds >= level] - level for one in frames]
+    shares = np.repeat(weight, [len(one) for one in excess])
+    return float(shares.sum() / (shares @ np.concatenate(excess)))
 
 
 def costs_by_others(
