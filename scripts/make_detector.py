@@ -44,12 +44,12 @@ from tapetum.detection.find import (
     DECOYS_LOOKED_AGAIN,
     LOOKED_AGAIN,
     clutter_of_frame,
-    clutter_of_pair,
+    joined,
     second_look,
 )
 from tapetum.detection.measured import Candidates, candidates_with_looks
 from tapetum.detection.score import Score
-from tapetum.detection.third import SUREST, Told, load_third, third_input
+from tapetum.detection.third import SUREST, Told
 from tapetum.files import atomic_file
 
 OUT = Path(__file__).parents[1] / "src" / "tapetum" / "detection" / "weights.json"
@@ -216,9 +216,7 @@ def by(model: LogisticRegression, one: Case) -> tuple[np.ndarray, float]:
         for some in (one.found, one.decoys)
     )
     found, decoys = _limited(one.found, odds, LOOKED_AGAIN), _limited(one.decoys, of_decoys, DECOYS_LOOKED_AGAIN)
-    score = Score((), 0.0, ((), ()), NETWORKS, LIMITS)
-    joined = score.joined(odds, load_third().log_odds(third_input(found, decoys)))
-    return joined, clutter_of_pair(score.joined(of_decoys, decoys.again))
+    return joined(odds, of_decoys, found, decoys, Score((), 0.0, ((), ()), NETWORKS, LIMITS))
 
 
 def _limited(some: Told, odds: np.ndarray, most: int) -> Told:
@@ -334,6 +332,8 @@ def costs(real: list[Alarms], drawn: list[Alarms]) -> tuple[list[float], list[fl
         levels.append(float(level))
         rates.append(float(np.exp(model.intercept_)))
         rises.append(float(model.coef_[0] / spread))
+    if not levels:
+        sys.exit(f"error: real and drawn frames have fewer than {MANY} false alarms each; give more labelled frames")
     # Two groups whose rates fall exponentially: so does their geometric mean, with the mean of both slopes.
     falls = np.mean([_fall(both, weight * (is_real == group), levels[-1]) for group in (0, 1)])
     levels.append(levels[-1] + TAIL)

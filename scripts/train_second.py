@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -33,7 +34,7 @@ from safetensors.numpy import save
 from torch import nn
 
 from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
-from tapetum.detection.measured import candidates_with_looks
+from tapetum.detection.measured import Candidates, candidates_with_looks
 from tapetum.detection.second import STRIDES, views
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
@@ -88,6 +89,17 @@ def examples(scene: Varied, rng: np.random.Generator) -> Arrays | None:
         return None
     if found.cut is None:
         return None
+    label = labelled(found, scene)
+    order = np.argsort(-sum(k * found.looks[:, LOOKS.index(one)] for one, k in LIKELY.items()), kind="stable")
+    wrong = order[label[order] == 0]
+    others = rng.permutation(wrong[BEST:])[:OTHERS]
+    kept = np.sort(np.concatenate([np.flatnonzero(label == 1), wrong[:BEST], others]))
+    near, far = views(found.cut, found.rows[kept])
+    return near.astype(np.float16), far.astype(np.float16), found.looks[kept].astype(np.float32), label[kept]
+
+
+def labelled(found: Candidates, scene: Varied) -> np.ndarray:
+    """Of each candidate, [N]: 1 for a camera, 0 for none, -1 for what counts neither way."""
     places = np.stack([found.columns["x"], found.columns["y"]], 1)
     label = np.zeros(len(places), int)
     for place in scene.unresolved:
@@ -96,16 +108,9 @@ def examples(scene: Varied, rng: np.random.Generator) -> Arrays | None:
         reach, apart = max(2.5, 0.4 * diameter), np.hypot(*(places - place).T)
         label[(apart <= 2 * reach) & (label == 0)] = -1
         near = np.flatnonzero(apart <= reach)
-        if len(near):
-            label[near] = -1
-            if seen >= PLAIN:
-                label[near[np.argmax(found.columns["snr"][near])]] = 1
-    order = np.argsort(-sum(k * found.looks[:, LOOKS.index(one)] for one, k in LIKELY.items()), kind="stable")
-    wrong = order[label[order] == 0]
-    others = rng.permutation(wrong[BEST:])[:OTHERS]
-    kept = np.sort(np.concatenate([np.flatnonzero(label == 1), wrong[:BEST], others]))
-    near, far = views(found.cut, found.rows[kept])
-    return near.astype(np.float16), far.astype(np.float16), found.looks[kept].astype(np.float32), label[kept]
+        if len(near) and seen >= PLAIN:
+            label[near[np.argmax(found.columns["snr"][near])]] = 1
+    return label
 
 
 def trained(data: Arrays) -> tuple[Network, np.ndarray, np.ndarray]:
@@ -161,29 +166,29 @@ def weights_of(network: Network, mean: np.ndarray, spread: np.ndarray) -> dict[s
     return half | {"mean": mean.astype(np.float32), "spread": spread.astype(np.float32)}
 
 
-def drawn(count: int, folder: Path) -> Arrays:
-    """Examples of so many scenes; kept in a folder, a part a file."""
+def drawn(
+    seeds: range, folder: Path, fields: tuple[str, ...], examples: Callable[[int], tuple[np.ndarray, ...] | None]
+) -> tuple[np.ndarray, ...]:
+    """Examples of the scenes of some seeds, an array a field; kept in a folder, a part a file."""
     folder.mkdir(parents=True, exist_ok=True)
-    parts: list[Arrays] = []
+    parts: list[tuple[np.ndarray, ...]] = []
     start = time.monotonic()
-    for first in range(FIRST_SEED, FIRST_SEED + count, PART):
-        seeds = range(first, min(first + PART, FIRST_SEED + count))
-        file = folder / f"{first}-{len(seeds)}.npz"
+    for first in range(seeds.start, seeds.stop, PART):
+        some = range(first, min(first + PART, seeds.stop))
+        file = folder / f"{first}-{len(some)}.npz"
         if not file.exists():
-            found = [examples(varied(seed), np.random.default_rng([5, seed])) for seed in seeds]
-            kept = _joined([one for one in found if one is not None])
+            kept = _joined([one for one in map(examples, some) if one is not None])
             with atomic_file(file) as part, part.open("wb") as stream:
-                np.savez(stream, **dict(zip(FIELDS, kept, strict=True)))
-            print(f"{seeds.stop - FIRST_SEED} of {count} scenes, {time.monotonic() - start:.0f} s", flush=True)
+                np.savez(stream, **dict(zip(fields, kept, strict=True)))
+            told = f"{some.stop - seeds.start} of {len(seeds)} scenes, {time.monotonic() - start:.0f} s"
+            print(told, flush=True)
         with np.load(file) as kept:
-            near, far, looks, label = (kept[field] for field in FIELDS)
-            parts.append((near, far, looks, label))
+            parts.append(tuple(kept[field] for field in fields))
     return _joined(parts)
 
 
-def _joined(parts: list[Arrays]) -> Arrays:
-    near, far, looks, label = (np.concatenate([one[n] for one in parts]) for n in range(len(FIELDS)))
-    return near, far, looks, label
+def _joined(parts: list[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
+    return tuple(np.concatenate(some) for some in zip(*parts, strict=True))
 
 
 def main() -> None:
@@ -194,10 +199,13 @@ def main() -> None:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     torch.use_deterministic_algorithms(True)
-    data = drawn(options.scenes, options.folder)
-    print(f"{len(data[3])} candidates, {(data[3] == 1).sum()} of them cameras", flush=True)
+    seeds = range(FIRST_SEED, FIRST_SEED + options.scenes)
+    near, far, looks, label = drawn(
+        seeds, options.folder, FIELDS, lambda seed: examples(varied(seed), np.random.default_rng([5, seed]))
+    )
+    print(f"{len(label)} candidates, {(label == 1).sum()} of them cameras", flush=True)
     with atomic_file(OUT) as part:
-        part.write_bytes(save(weights_of(*trained(data))))
+        part.write_bytes(save(weights_of(*trained((near, far, looks, label)))))
 
 
 if __name__ == "__main__":

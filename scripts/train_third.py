@@ -12,7 +12,6 @@ features and the second stage are those that are stored, which decide what is se
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 
 import cv2
@@ -22,16 +21,16 @@ from safetensors.numpy import save
 from torch import nn
 
 from tapetum.detection.find import told_of
-from tapetum.detection.measured import Candidates, candidates_with_looks
+from tapetum.detection.measured import candidates_with_looks
 from tapetum.detection.score import load_score
 from tapetum.detection.third import FARTHEST, third_input
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
-from train_second import PLAIN
+from train_second import drawn, labelled
 from varied_scenes import Varied, varied
 
 OUT = Path(__file__).parents[1] / "src" / "tapetum" / "detection" / "third-pair.safetensors"
-SCENES, PART, EPOCHS, BATCH = 8000, 250, 12, 2048
+SCENES, EPOCHS, BATCH = 8000, 12, 2048
 FIRST_SEED = 400_000
 EVERY, LARGER, CROWD = 10, (480, 640), (8, 41)
 NETWORKS, WIDE = 5, 64
@@ -59,21 +58,6 @@ def examples(scene: Varied) -> tuple[np.ndarray, np.ndarray] | None:
     kept = label >= 0
     features = third_input(*told_of(found, decoys, load_score(pair=True)))
     return features[kept].astype(np.float32), label[kept].astype(np.int8)
-
-
-def labelled(found: Candidates, scene: Varied) -> np.ndarray:
-    """Of each candidate, [N]: 1 for a camera, 0 for none, -1 for what counts neither way."""
-    places = np.stack([found.columns["x"], found.columns["y"]], 1)
-    label = np.zeros(len(places), int)
-    for place in scene.unresolved:
-        label[np.hypot(*(places - place).T) <= 6] = -1
-    for place, diameter, seen in zip(scene.places, scene.diameter, scene.seen, strict=True):
-        reach, apart = max(2.5, 0.4 * diameter), np.hypot(*(places - place).T)
-        label[(apart <= 2 * reach) & (label == 0)] = -1
-        near = np.flatnonzero(apart <= reach)
-        if len(near) and seen >= PLAIN:
-            label[near[np.argmax(found.columns["snr"][near])]] = 1
-    return label
 
 
 def trained(features: np.ndarray, label: np.ndarray, seed: int) -> nn.Sequential:
@@ -112,24 +96,6 @@ def weights_of(networks: list[nn.Sequential], mean: np.ndarray, spread: np.ndarr
     return half | {"mean": mean.astype(np.float32), "spread": spread.astype(np.float32)}
 
 
-def drawn(count: int, folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Examples of so many scenes; kept in a folder, a part a file."""
-    folder.mkdir(parents=True, exist_ok=True)
-    parts, start = [], time.monotonic()
-    for first in range(FIRST_SEED, FIRST_SEED + count, PART):
-        seeds = range(first, min(first + PART, FIRST_SEED + count))
-        file = folder / f"{first}-{len(seeds)}.npz"
-        if not file.exists():
-            found = [one for one in (examples(scene_of(seed)) for seed in seeds) if one is not None]
-            features, label = (np.concatenate([one[n] for one in found]) for n in (0, 1))
-            with atomic_file(file) as part, part.open("wb") as stream:
-                np.savez(stream, features=features, label=label)
-            print(f"{seeds.stop - FIRST_SEED} of {count} scenes, {time.monotonic() - start:.0f} s", flush=True)
-        with np.load(file) as kept:
-            parts.append((kept["features"], kept["label"]))
-    return np.concatenate([one[0] for one in parts]), np.concatenate([one[1] for one in parts])
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenes", type=int, nargs="?", default=SCENES)
@@ -138,7 +104,8 @@ def main() -> None:
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     torch.use_deterministic_algorithms(True)
-    features, label = drawn(options.scenes, options.folder)
+    seeds = range(FIRST_SEED, FIRST_SEED + options.scenes)
+    features, label = drawn(seeds, options.folder, ("features", "label"), lambda seed: examples(scene_of(seed)))
     print(f"{len(label)} candidates, {(label == 1).sum()} of them cameras", flush=True)
     mean, spread = features.mean(0), features.std(0) + np.float32(1e-3)
     scaled = np.clip((features - mean) / spread, -FARTHEST, FARTHEST)

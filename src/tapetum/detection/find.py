@@ -33,6 +33,7 @@ __all__ = [
     "clutter_of_frame",
     "clutter_of_pair",
     "find_cameras",
+    "joined",
     "judged",
     "second_look",
     "told_of",
@@ -160,9 +161,13 @@ def judged(candidates: Candidates, decoys: Candidates | None, score: Score) -> t
     if decoys is None:
         return odds, clutter_of_frame(odds, candidates.columns["worth"])
     found, others = told_of(candidates, decoys, score)
-    third = load_third().log_odds(third_input(found, others))
-    clutter = clutter_of_pair(score.joined(score.log_odds(others.looks), others.again))
-    return score.joined(odds, third), clutter
+    return joined(odds, score.log_odds(others.looks), found, others, score)
+
+
+def joined(odds: Array, of_decoys: Array, found: Told, decoys: Told, score: Score) -> tuple[Array, float]:
+    """Log odds of a pair's candidates, [N], and its clutter, from log odds by the features of both, [N] and [M]."""
+    third = load_third().log_odds(third_input(found, decoys))
+    return score.joined(odds, third), clutter_of_pair(score.joined(of_decoys, decoys.again))
 
 
 def clutter_of_pair(odds: Array) -> float:
