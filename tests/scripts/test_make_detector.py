@@ -27,8 +27,8 @@ def frames(scene: str, times: float, seed: int, count: int = 300) -> list[Alarms
 def test_costs_of_high_scores_follow_the_tail_of_the_alarms() -> None:
     """Half-way between two groups that alarm at rates four times apart, and far beyond nearly all alarms.
 
-    The slope of the tail rests on ten alarms of one group. Where it was that of the last two levels, the median of twenty
-    draws was off by a factor of 70 at log odds of 4.
+    The slope of the tail rests on ten alarms of one group. Where it was that of the last two levels, the median was
+    off by a factor of 70 at log odds of 4.
     """
     off: dict[float, list[float]] = {odds: [] for odds in (-3.0, -1.0, 1.0, 4.0)}
     for seed in range(10):
