@@ -166,7 +166,7 @@ def test_residuals_are_interpolated_where_that_is_asked_for_and_pays(
     with monkeypatch.context() as seen:
         seen.setattr(network, "fit_intervals", lambda errors, *rest: given.append(errors) or fit(errors, *rest))
         seen.setattr(network, "interpolated", lambda *all: left.append(all[:2]) or judge(*all))
-        model = ResNet18(**asked, interpolate=True).fit(small.tp.train)
+        model = ResNet18(**asked, interpolate=True).fit(small.tp.train, checkpoint=tmp_path / "run")
     ((judged, calibrating),) = left
     wanted = calibrating.carried / (calibrating.deviation / np.median(calibrating.deviation))[:, None]
     np.testing.assert_allclose(given[0], wanted * model.scaling[1])
@@ -184,9 +184,9 @@ def test_residuals_are_interpolated_where_that_is_asked_for_and_pays(
     again = load_model(tmp_path / "m")
     np.testing.assert_allclose(again.predict(small.tp.test, anyway=True).upper, found.upper, rtol=1e-6)
     assert again.parameters() == model.parameters() and again.parameters()["interpolate"] is True
-    # What does not pay is not kept.
+    # What does not pay is not kept. That is decided after the training, which is not done again.
     monkeypatch.setattr(kernel, "_WORTH", 0.0)
-    left = ResNet18(**asked, interpolate=True).fit(small.tp.train)
+    left = ResNet18(**asked, interpolate=True).fit(small.tp.train, checkpoint=tmp_path / "run", resume=True)
     assert left.kernel_ is None and (left.training_ or {})["chosen"]["residuals"].startswith("not interpolated")
     np.testing.assert_allclose(left.predict(small.tp.test, anyway=True).upper, before.upper, rtol=1e-6)
 

@@ -97,6 +97,39 @@ class Traced:
             value, slope = value + sum_of * r2 * r, slope + by_r2 * r
         return value, slope
 
+    def _way(self, i: int, p: Real, d: Real) -> Real:
+        """Ways of rays [3, N] to surface i; NaN where they miss it."""
+        way = (self.z[i] - p[2]) / d[2]
+        if self.curvature[i]:
+            # From the vertex's plane on, c (x² + y² + (1 + conic) z²) = 2 z: the root that a flat surface has too.
+            bend, shape = self.curvature[i], self.curvature[i] * self.conic[i]
+            x, y = p[0] + way * d[0], p[1] + way * d[1]
+            r2 = bend * (x**2 + y**2)
+            half = d[2] - bend * (x * d[0] + y * d[1])
+            root = np.sqrt(half**2 - (bend + shape * d[2] ** 2) * r2)
+            conic = way + r2 / (half + np.copysign(root, half))
+            if not self.asphere[i]:
+                return conic
+            way = np.where(np.isnan(conic), way, conic)
+        elif not self.asphere[i]:
+            return way
+        # Most rays are there after some steps; a few at the rim take many, and go on without the others. After a step
+        # of 1e-11 m what is left is its square times the surface's curvature.
+        start, along, far, left = p, d, way, np.arange(len(way))
+        for _ in range(30):
+            at = start + far * along
+            value, slope = self.sag(i, np.maximum(at[0] ** 2 + at[1] ** 2, 1e-30))
+            miss = at[2] - self.z[i] - value
+            step = miss / (along[2] - 2 * slope * (at[0] * along[0] + at[1] * along[1]))
+            far = far - step
+            way[left] = far
+            going = np.flatnonzero(np.abs(step) > 1e-11)
+            if not len(going):
+                break
+            if len(going) < len(left) / 2:
+                start, along, far, left = start[:, going], along[:, going], far[going], left[going]
+        return way
+
     def trace(self, position: Real, direction: Real, stop_at: int | None = None) -> Bundle:
         """Rays [N, 3] through all surfaces; they may begin within the lens, as if there were none."""
         # Components first: each is summed over all rays.
@@ -104,21 +137,7 @@ class Traced:
         height, stop = np.zeros(len(position)), p
         with np.errstate(invalid="ignore", divide="ignore"):
             for i in range(len(self.z)):
-                way = (self.z[i] - p[2]) / d[2]
-                # Most rays are there after some steps; a few at the rim take many, and go on without the others.
-                start, along, far, left = p, d, way, np.arange(len(way))
-                for _ in range(30):
-                    at = start + far * along
-                    value, slope = self.sag(i, np.maximum(at[0] ** 2 + at[1] ** 2, 1e-30))
-                    miss = at[2] - self.z[i] - value
-                    step = miss / (along[2] - 2 * slope * (at[0] * along[0] + at[1] * along[1]))
-                    far = far - step
-                    way[left] = far
-                    going = np.flatnonzero(np.abs(step) > 1e-13)
-                    if not len(going):
-                        break
-                    if len(going) < len(left) / 2:
-                        start, along, far, left = start[:, going], along[:, going], far[going], left[going]
+                way = self._way(i, p, d)
                 path = path + self.index[i] * way
                 p = p + way * d
                 r2 = np.maximum(p[0] ** 2 + p[1] ** 2, 1e-30)
@@ -127,13 +146,18 @@ class Traced:
                     stop = p
                 if stop_at == i:
                     return Bundle(p.T, d.T, path, height, stop.T)
+                if self.index[i] == self.index[i + 1]:
+                    continue
                 _, slope = self.sag(i, r2)
-                normal = np.stack([-2 * slope * p[0], -2 * slope * p[1], np.ones_like(slope)])
-                normal /= np.sqrt((normal**2).sum(0))
+                # The normal (n x, n y, 1)/length.
+                n = -2 * slope
+                length = np.sqrt(n**2 * r2 + 1)
                 ratio = self.index[i] / self.index[i + 1]
-                cosine = (normal * d).sum(0)
-                inner = np.sqrt(1 - ratio**2 * (1 - cosine**2))
-                d = ratio * d + (inner - ratio * cosine) * normal
+                cosine = (n * (p[0] * d[0] + p[1] * d[1]) + d[2]) / length
+                turn = (np.sqrt(1 - ratio**2 * (1 - cosine**2)) - ratio * cosine) / length
+                d = ratio * d
+                d[:2] += turn * n * p[:2]
+                d[2] += turn
         height = np.where(np.isfinite(p.sum(0) + d.sum(0)), height, np.inf)
         return Bundle(p.T, d.T, path, height, stop.T)
 

@@ -9,6 +9,7 @@ leave. What each pixel receives is the sum of both fields' product over the sens
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -57,9 +58,9 @@ def traced_amplitudes(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixe
     if not 0 < place - lens.exit_pupil() < 50 * lens.focal_length:
         raise TooLargeError("an exit pupil behind the sensor, or far away, is no plane to sum from here")
     # Few rays first: where they land, how steep they are.
-    coarse = _wave(lens, s, beam.curvature, 12, 5, k)
+    coarse = _few(lens, _pair(s), beam.curvature, k)
     landing, spread = _landing(coarse, place)
-    if math.hypot(*(beam.sines)) > 0 and beam.radius < 1.2 * _outer(lens, s):
+    if math.hypot(*(beam.sines)) > 0 and beam.radius < 1.2 * _outer(lens, _pair(s)):
         raise TooLargeError("a beam that does not fill the lens is not laid out in rays here")
     aperture = float(np.abs(coarse.direction[:, :2] - coarse.direction[:, :2].mean(0)).max())
     ring = beam.wavelength / (2 * aperture)
@@ -68,7 +69,7 @@ def traced_amplitudes(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixe
     turned = pixels / probe.focal_length
     if square > 0:
         turned = turned - (1 - cosine) / square * np.outer(turned @ s, s)
-    others = [_landing(_wave(lens, s - one, 0.0, 12, 5, k), place) for one in turned[:: max(1, len(turned) // 4)]]
+    others = [_landing(_few(lens, _pair(s - one), 0.0, k), place) for one in turned[:: max(1, len(turned) // 4)]]
     margin = effort.window * _RINGS * ring
     flat = min(spread, *(one[1] for one in others)) + max(
         min(float(np.hypot(*(one[0] - landing))), 8 * ring + abs(spread - one[1])) for one in others
@@ -115,15 +116,9 @@ def _edges(lens: Traced, s: Real, curvature: float, spokes: int) -> tuple[Real, 
     """A place within the pupil and the distance of its edge from there along each spoke."""
     turn = 2 * math.pi * np.arange(spokes) / spokes
     rays = np.stack([np.cos(turn), np.sin(turn)], 1)
-    reach = _outer(lens, s)
-    line = np.linspace(-reach, reach, 61)
-    x, y = (one.ravel() for one in np.meshgrid(line, line))
-    e = np.stack([x, y], 1)
-    inside = _height(lens, s, curvature, e) <= 1
-    if not inside.any():
+    reach, middle = _outer(lens, _pair(s)), _middle(lens, _pair(s), curvature)
+    if middle is None:
         return np.zeros(2), np.zeros(spokes)
-    middle = e[inside].mean(0)
-    low, high = np.zeros(spokes), np.full(spokes, 2 * reach)
     # The first of equal steps that is stopped, then halves.
     steps = np.linspace(0, 1.6 * reach, 49)
     every = (middle + rays[:, None, :] * steps[:, None]).reshape(-1, 2)
@@ -137,16 +132,38 @@ def _edges(lens: Traced, s: Real, curvature: float, spokes: int) -> tuple[Real, 
     return middle, low
 
 
-def _outer(lens: Traced, s: Real) -> float:
+# The same directions are asked for with few rays and with many, for every plane, and with more effort.
+@functools.lru_cache(maxsize=512)
+def _outer(lens: Traced, sines: tuple[float, float]) -> float:
     """Half width of a square that holds the pupil."""
     reach = lens.focal_length
     line = np.linspace(-reach, reach, 201)
     zero = np.zeros_like(line)
     e = np.concatenate([np.stack([line, zero], 1), np.stack([zero, line], 1)])
-    inside = _height(lens, s, 0.0, e) <= 1
+    inside = _height(lens, np.array(sines), 0.0, e) <= 1
     if not inside.any():
         return reach / 10
     return 1.3 * float(np.abs(e[inside]).max()) + 2 * reach / 200
+
+
+@functools.lru_cache(maxsize=512)
+def _middle(lens: Traced, sines: tuple[float, float], curvature: float) -> Real | None:
+    """Mean place within the pupil; None where no ray gets through."""
+    line = np.linspace(-1, 1, 61) * _outer(lens, sines)
+    x, y = (one.ravel() for one in np.meshgrid(line, line))
+    e = np.stack([x, y], 1)
+    inside = _height(lens, np.array(sines), curvature, e) <= 1
+    return e[inside].mean(0) if inside.any() else None
+
+
+@functools.lru_cache(maxsize=512)
+def _few(lens: Traced, sines: tuple[float, float], curvature: float, k: float) -> _Wave:
+    """As `_wave`, with rays enough to tell where they land and how steep they are."""
+    return _wave(lens, np.array(sines), curvature, 12, 5, k)
+
+
+def _pair(s: Real) -> tuple[float, float]:
+    return float(s[0]), float(s[1])
 
 
 def _height(lens: Traced, s: Real, curvature: float, e: Real) -> Real:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 from typing import Any
@@ -11,12 +12,13 @@ import torch
 from traced_cases import WAVELENGTH, K
 
 from tapetum.bench import PrescriptionLens
+from tapetum.optics.focus import FocusedLens
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.rays import to_plane, trace_out
 from tapetum.simulate import traced_plan
 from tapetum.simulate.probe_path import ProbeAperture
-from tapetum.simulate.pupil_fits import TiltNodes, chebyshev, fit_pupils, values_at
+from tapetum.simulate.pupil_fits import PupilFits, TiltNodes, chebyshev, fit_pupils, values_at
 from tapetum.simulate.surfaces import Order, Surface
 from tapetum.simulate.traced_bundle import rim_plane, trace_bundle
 from tapetum.simulate.traced_light import TracedLight, TracedScene, Way, followed, traced_scene
@@ -29,11 +31,17 @@ SINE = WAVELENGTH / 5e-6
 ORDERS = (Order(), *(Order(at, 0.1) for at in ((SINE, 0.0), (-SINE, 0.0), (0.0, SINE), (0.0, -SINE))))
 
 
-def scene_of(focal_length: float, distance: float, radius: float) -> TracedScene:
-    """The zoom, focused at `distance` and seen from 5.5 m by a probe of this aperture."""
+@functools.lru_cache(maxsize=1)
+def pupils_of(focal_length: float, distance: float) -> tuple[FocusedLens, PupilFits]:
+    """The zoom, focused at `distance`, and its pupils as seen from 5.5 m."""
     lens = PrescriptionLens("zoom-18-140mm", focal_length=focal_length).focused(WAVELENGTH, distance)
     nodes = TiltNodes.up_to(STEEPEST).denser()
-    fits = fit_pupils(lens, STEEPEST, curvature=1 / 5.5, nodes=nodes)
+    return lens, fit_pupils(lens, STEEPEST, curvature=1 / 5.5, nodes=nodes)
+
+
+def scene_of(focal_length: float, distance: float, radius: float) -> TracedScene:
+    """The zoom, focused at `distance` and seen from 5.5 m by a probe of this aperture."""
+    lens, fits = pupils_of(focal_length, distance)
     seen = 400 * 2.2e-6 / 0.1
     aperture = ProbeAperture.behind_traced(5.5, radius, WAVELENGTH, seen, reach=fits.aperture[1], accuracy=0.03)
     way = Way(wavelength=WAVELENGTH, probe_focal_length=0.1, curvature=1 / 5.5, aperture=aperture)

@@ -127,6 +127,17 @@ def test_the_stated_error_holds(validated: Any) -> None:
               "a window two or six times as wide, and finer samples", "of the stated error")  # fmt: skip
 
 
+def climb_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Plans of one scene for few and for many pictures start from the same step: seek it for the first alone."""
+    steps, climbed = [], traced_plan._climbed
+
+    def once(*given: Any, **other: Any) -> Any:
+        steps[:] = steps or [climbed(*given, **other)]
+        return steps[0]
+
+    monkeypatch.setattr(traced_plan, "_climbed", once)
+
+
 @pytest.mark.parametrize(
     ("case", "accuracy"),
     [
@@ -136,11 +147,14 @@ def test_the_stated_error_holds(validated: Any) -> None:
     ],
     ids=str,
 )
-def test_the_stated_error_holds_at_every_tilt(case: Case, accuracy: float, validated: Any) -> None:
+def test_the_stated_error_holds_at_every_tilt(
+    case: Case, accuracy: float, validated: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Errors rise and fall with the tilt, and three tilts, compared with one finer sampling, once missed the worst."""
     output = picture(case, 31)
     sines = torch.linspace(0, 0.6 * case.steepest, 25, dtype=torch.float64)
     tilts = torch.stack([0.54 * sines, -0.84 * sines], -1)
+    climb_once(monkeypatch)
     one, many = (planned(case, output, accuracy, pictures=pictures) for pictures in (1, 1000))
     # Another, six times as wide and of twice the samples on the way out, is within 0.04 of the stated error.
     better = finer(one.passes[0], output, 1.1, window=3.0, leaving=2.0).field(tilts).abs() ** 2
@@ -163,14 +177,8 @@ def test_the_stated_error_holds_on_many(validated: Any) -> None:
 
 def test_samples_that_change_no_picture_are_left_out_where_pictures_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
     case, accuracy = Case("cmount-12mm-f1.4", 15.0, 5.0, 3.8e-3), 1e-2
-    output, steps, climbed = picture(case, 31), [], traced_plan._climbed
-
-    def once(*given: Any, **other: Any) -> Any:
-        """Both start from the same step."""
-        steps[:] = steps or [climbed(*given, **other)]
-        return steps[0]
-
-    monkeypatch.setattr(traced_plan, "_climbed", once)
+    output = picture(case, 31)
+    climb_once(monkeypatch)
     few = planned(case, output, accuracy, pictures=300)
     many = planned(case, output, accuracy, pictures=299)
     assert few.plan.columns < 0.8 * many.plan.columns and few.plan.sensor < many.plan.sensor

@@ -13,7 +13,6 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import ClassVar, Unpack
 
 import torch
@@ -67,9 +66,10 @@ _LADDER = (
 # tilt: the worst one's error is 1.3 times the largest difference at six tilts in the median of 232 random lenses, and
 # 2.6 times or less in 97 %.
 _SAFETY = 3.0
-# Tilts tried, in fractions of the steepest: the first of them of every effort, the others of those that they allow.
+# Tilts tried, in fractions of the steepest: up to the first end of every effort, up to the next of those that they
+# allow. Head on, where a mirror's return is most sensitive, most are refused.
 _TRIED = ((0.0, 0.0), (0.1, 0.125), (0.65, 0.65), (-0.06, -0.08), (-0.24, 0.18), (0.3, -0.4))
-_FIRST = 3
+_ENDS = (1, 3, 6)
 # Share of the accuracy asked for that sampling may take, however much of it the paths' error takes.
 _OF_SAMPLING = 0.25
 # Error over the accuracy asked for above which planes that cancel each other are not planned again.
@@ -277,11 +277,18 @@ class _Attempt:
 
     def __init__(self, one: TracedPass, seen: _Seen, tried: torch.Tensor) -> None:
         self.one, self._seen, self._tried = one, seen, tried
-        self.first = seen(one, tried[:_FIRST])
+        self._pictures: list[torch.Tensor] = []
 
-    @cached_property
+    def up_to(self, stage: int) -> torch.Tensor:
+        """At the tilts up to that end of `_ENDS`."""
+        for end in _ENDS[len(self._pictures) : stage + 1]:
+            start = sum(map(len, self._pictures))
+            self._pictures.append(self._seen(self.one, self._tried[start:end]))
+        return torch.cat(self._pictures[: stage + 1])
+
+    @property
     def all(self) -> torch.Tensor:
-        return torch.cat([self.first, self._seen(self.one, self._tried[_FIRST:])])
+        return self.up_to(len(_ENDS) - 1)
 
 
 @dataclass(frozen=True)
@@ -405,9 +412,12 @@ def _climbed(
         steps = [*steps[-2:], _Attempt(one, seen, tried)]
         if len(steps) < 3:
             continue
-        limit = allowed if best is None else min(allowed, best.error)
-        error = _changed([attempt.first for attempt in steps], least)
-        if error <= limit and (error := _changed([attempt.all for attempt in steps], least)) <= limit:
+        limit, error = allowed if best is None else min(allowed, best.error), math.inf
+        for stage in range(len(_ENDS)):
+            error = _changed([attempt.up_to(stage) for attempt in steps], least)
+            if not error <= limit:
+                break
+        else:
             best = _Step(number - 2, steps[0].one, one, error, (steps[0].all, steps[-1].all))
             if error <= accuracy:
                 return best
