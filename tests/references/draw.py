@@ -44,6 +44,7 @@ KINDS = (
     "traced, layers",
     "all at once",
     "traced, mask",
+    "traced, near",
 )
 _LENSES = (
     ("compact-6mm-f1.9", None),
@@ -302,6 +303,8 @@ def _traced(dice: _Dice, kind: str, folder: Path) -> Plain:
         # On the mask, and seldom beside it.
         tilt *= 0.25
         sensor["mask"] = _mask(dice, folder, wavelength * number)
+    if kind == "traced, near":
+        return _near(dice, lens, wavelength, length)
     light: Plain = {"mode": "collimated", "wavelength": wavelength, "power": 1e-3, "diameter": 4 * length}
     if dice.chance(0.3):
         del light["diameter"]
@@ -325,6 +328,47 @@ def _traced(dice: _Dice, kind: str, folder: Path) -> Plain:
             "lens": {"focal_length": probe_focal, "aperture_radius": math.sqrt(dice.log(2, 20) * wavelength * away)},
             "sensor": {"pixels": [33, 33], "pitch": 2 * probe_focal * angle / 33},
         },
-        # The judge has no sum for a traced lens seen through the probe's aperture.
         "sampling": {"accuracy": dice.one((0.01, 0.03, 0.05)), "propagation": "far field"},
+    }
+
+
+def _near(dice: _Dice, lens: Plain, wavelength: float, length: float) -> Plain:
+    """A traced lens seen through the probe's aperture: stopped down, so that its pupil is a disc, and often before an
+    array, whose rows lie along the tilt then."""
+    number = lens["f_number"] = max(lens["f_number"], dice.log(3.5, 16))
+    radius = length / (2 * number)
+    away = dice.log(0.3, 3)
+    # By Fresnel's zones, of an infinite focus those of the way to the probe.
+    focused = math.inf if dice.chance(0.15) else max(radius**2 / (wavelength * dice.log(0.5, 12)), 20 * length)
+    tilt, turn = dice.even(0, 0.8 * math.atan(0.5 / number)), dice.even(0, 2 * math.pi)
+    sensor: Plain = {"reflectance": dice.even(0.05, 0.5), "pixels": [3000, 2500], "pitch": 2.2e-6}
+    if dice.chance(0.6):
+        turn = dice.one((0, 1, 2, 3)) * math.pi / 2
+        sensor["array"] = _array(dice, "square photosites", wavelength * number, False)
+    if dice.chance(0.3):
+        sensor["layers"] = _layers(dice, "layers", wavelength, number, length)
+        for layer in sensor["layers"]:
+            layer["depth"] = min(layer["depth"], 2e-4)
+    light: Plain = {"mode": "collimated", "wavelength": wavelength, "power": 1e-3, "diameter": 4 * length}
+    if dice.chance(0.7):
+        del light["diameter"]
+        light |= {"mode": "diverging", "divergence": min(2 * math.atan(1.5 * length / away), 1.2)}
+    probe_focal, opening = dice.log(0.05, 0.2), math.sqrt(dice.log(2, 20) * wavelength * away)
+    shift = abs(1 / away - (0.0 if math.isinf(focused) else 1 / focused))
+    angle = 1.4 * radius * shift + dice.even(3, 7) * wavelength / (2 * min(radius, opening))
+    return {
+        "schema": "tapetum/scene/1",
+        "distance": away,
+        "illumination": light,
+        "target": {
+            "lens": lens,
+            "object_distance": focused,
+            "rotation": [tilt * round(math.cos(turn), 15), tilt * round(math.sin(turn), 15)],
+            "sensor": sensor,
+        },
+        "probe": {
+            "lens": {"focal_length": probe_focal, "aperture_radius": opening},
+            "sensor": {"pixels": [33, 33], "pitch": 2 * probe_focal * angle / 33},
+        },
+        "sampling": {"accuracy": dice.one((0.01, 0.03, 0.05)), "propagation": "finite"},
     }

@@ -30,7 +30,7 @@ from .quadrature import (
     times,
     unfolded,
 )
-from .way import Probe, through_aperture
+from .way import Probe, along, through_aperture
 
 __all__ = ["Beam", "Effort", "ThinLens", "TooLargeError", "amplitudes"]
 
@@ -120,7 +120,7 @@ def amplitudes(
     frame = np.eye(2)
     if probe.distance is not None and plane.pattern is None and not cut:
         # Nothing has an edge along x or y: in the tilt's own frame nothing has to be turned later.
-        frame = _along(s)
+        frame = along(s)
         s, t, a, centre = (frame @ one for one in (s, t, a, centre))
         plane = plane.endless()
     reach = np.abs(centre) + half
@@ -156,20 +156,11 @@ def amplitudes(
         return math.sqrt(cosine) * _far(exit_field, out, s, cosine, k, probe, pixels)
     if wide:
         # Into the frame that the tilt lies along, by the polynomials that the sums are exact for.
-        frame = _along(s)
+        frame = along(s)
         exit_field, s = _turned(exit_field, math.sqrt(2) * r, nodes, frame), frame @ s
     exit_field *= region_weights(count, r)
     exit_field *= phasor(-k * s[1] * nodes)[:, None]
     return through_aperture(exit_field, nodes, float(s[1]), k, probe, pixels @ frame.T, effort.points)
-
-
-def _along(vector: Real) -> Real:
-    """The turn that puts a vector along +y."""
-    length = float(np.hypot(*vector))
-    if length == 0:
-        return np.eye(2)
-    x, y = vector / length
-    return np.array([[y, -x], [x, y]])
 
 
 def _arriving(nodes: Real, lens: ThinLens, beam: Beam, s: Real, t: Real, k: float) -> Complex:

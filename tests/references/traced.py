@@ -17,6 +17,7 @@ import numpy as np
 
 from tapetum.bench import PrescriptionLens, Scene
 
+from .near import near_amplitudes
 from .plane import Plane, Points, TooLargeError, points
 from .quadrature import Complex, Real, interpolation, legendre, phasor
 from .rays import Bundle, Traced, focused
@@ -44,11 +45,13 @@ class _Wave:
 
 
 def traced_amplitudes(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixels: Real, effort: Effort) -> Complex:
-    """As `thin.amplitudes`, for a prescription; to the far field."""
-    if probe.distance is not None:
-        raise TooLargeError("a traced lens seen through the probe's aperture takes a bundle of rays a direction")
+    """As `thin.amplitudes`, for a prescription."""
     assert isinstance(scene.target.lens, PrescriptionLens)
     lens = focused(scene.target.lens, beam.wavelength, scene.target.object_distance)
+    if probe.distance is not None:
+        if beam.radius < 1.2 * _outer(lens, beam.sines):
+            raise TooLargeError("a beam that does not fill the lens is not laid out here")
+        return near_amplitudes(lens, beam, plane, probe, pixels, effort, radius=scene.target.lens.aperture_radius)
     k = 2 * math.pi / beam.wavelength
     s = np.array(beam.sines)
     cosine = math.sqrt(1 - s @ s)

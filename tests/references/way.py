@@ -18,7 +18,7 @@ from .quadrature import Complex, Real, folded, halved, interpolation, legendre, 
 
 _MOST_APERTURE = 900
 
-__all__ = ["Probe", "plain_sum", "through_aperture"]
+__all__ = ["Probe", "along", "plain_sum", "through_aperture"]
 
 
 @dataclass(frozen=True)
@@ -30,35 +30,57 @@ class Probe:
     radius: float = math.inf
 
 
+def along(vector: Real) -> Real:
+    """The turn that puts a vector [2] along +y."""
+    length = float(np.hypot(*vector))
+    if length == 0:
+        return np.eye(2)
+    x, y = vector / length
+    return np.array([[y, -x], [x, y]])
+
+
 def through_aperture(
-    exit_field: Complex, nodes: Real, sine: float, k: float, probe: Probe, pixels: Real, effort: float = 1.0
+    exit_field: Complex,
+    nodes: Real,
+    sine: float,
+    k: float,
+    probe: Probe,
+    pixels: Real,
+    effort: float = 1.0,
+    *,
+    rows: tuple[Real, Real, float] | None = None,
 ) -> Complex:
     """Amplitudes at pixels [Q, 2] for a field [y, x] on a lens plane tilted by a sine along y, weights in it.
 
-    The field is power-normalised: squared moduli are W/m² of the plane.
+    The field is power-normalised: squared moduli are W/m² of the plane. `rows` are its y where they are not its x, how
+    far behind the lens plane each lies, and how much that grows along y: then moduli are those of a unit of x and y.
     """
     assert probe.distance is not None
-    reach = float(np.abs(nodes).max())
+    rows = (nodes, np.zeros_like(nodes), 0.0) if rows is None else rows
+    reach = max(float(np.abs(nodes).max()), float(np.abs(rows[0]).max()))
     widest = float(np.abs(pixels).max()) / probe.focal_length
     steep = k * ((probe.radius + reach) / probe.distance * (1 + (probe.radius + reach) / probe.distance) + widest)
     count = math.ceil(effort * 1.1 * steep * probe.radius) + 24
     if count > _MOST_APERTURE:
         raise TooLargeError(f"{count}² points of the probe's aperture")
     places = legendre(count)[0] * probe.radius
-    field = _at_aperture(exit_field, nodes, places, sine, k, probe.distance)
+    field = _at_aperture(exit_field, nodes, rows, places, sine, k, probe.distance)
     field = field * region_weights(count, probe.radius)
     across = phasor(-k / probe.focal_length * np.outer(pixels[:, 0], places))
     down = times(halved(k / probe.focal_length * pixels[:, 1], places), folded(field))
     return (down * across).sum(1) * (k / (2 * math.pi * probe.focal_length))
 
 
-def _at_aperture(exit_field: Complex, x: Real, a: Real, sine: float, k: float, distance: float) -> Complex:
+def _at_aperture(
+    exit_field: Complex, x: Real, rows: tuple[Real, Real, float], a: Real, sine: float, k: float, distance: float
+) -> Complex:
     """Field [a_2, a_1] at the aperture: Huygens' waves with the cosine of the direction in which each leaves."""
     cosine = math.sqrt(1 - sine**2)
-    square = (x[:, None] * cosine - a) ** 2 + (distance + x[:, None] * sine) ** 2
+    y, deep, slope = rows[0][:, None], rows[1][:, None], rows[2]
+    square = (y * cosine - deep * sine - a) ** 2 + (distance + y * sine + deep * cosine) ** 2
     # From the point of the lens plane to that of the aperture, along the plane's normal.
-    normal = distance * cosine + a * sine
-    most = (float(np.abs(x).max()) + float(np.abs(a).max())) ** 2
+    normal = distance * cosine + a * sine + deep + slope * (a * cosine - distance * sine - y)
+    most = (max(float(np.abs(x).max()), float(np.abs(y).max())) + float(np.abs(a).max())) ** 2
     b = (x[:, None] - a) ** 2
     turning = k * most / 2 * float(np.abs(1 / np.sqrt(square.min()) - 1 / distance)) + k * most**2 / (8 * distance**3)
     count = 12 + math.ceil(0.7 * turning)
@@ -69,9 +91,9 @@ def _at_aperture(exit_field: Complex, x: Real, a: Real, sine: float, k: float, d
         length = np.sqrt(square + knot)
         # √cosine/ρ of a power-normalised field, phases without the way's own k d.
         path = (square - distance**2 + knot) / (length + distance) - knot / (2 * distance)
-        along = phasor(k * path) * np.sqrt(np.abs(normal) / length) / length
+        down = phasor(k * path) * np.sqrt(np.abs(normal) / length) / length
         part = exit_field @ (chirp * share)
-        total += along.T @ part
+        total += down.T @ part
     return total * (k / (2j * math.pi))
 
 

@@ -139,6 +139,11 @@ class Pupil(Protocol):
         ...
 
     @property
+    def bend(self) -> float:
+        """C in 1/m: by C v the pupil's directions lie elsewhere, seen from the place v of the spot."""
+        ...
+
+    @property
     def rim(self) -> float | None:
         """Curvature of both ways, k C in rad/m², where a mirror's light beyond the window is added (`SpotWindow`)."""
         ...

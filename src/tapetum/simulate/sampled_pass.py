@@ -25,11 +25,11 @@ from tapetum.simulate.pupils import Gazes, Leaving, Pupil
 from tapetum.simulate.spot_window import SpotWindow
 from tapetum.simulate.surfaces import Mask, Surface
 
-__all__ = ["SampledPass"]
+__all__ = ["SampledPass", "returning_within"]
 
 Lens = TypeVar("Lens", bound=Pupil)
 
-# Distance of an order's direction from the pupil's, in half widths of the pupil, within which its light returns.
+# Half widths of the pupil between two directions that meet it, and a little.
 _MEETS = 2.05
 # Samples a block of the kernels, and orders whose ramps are added at once.
 _BLOCK, _ORDERS = 16, 64
@@ -72,6 +72,7 @@ class SampledPass(Generic[Lens]):
         # A mirror's samples may lie along the tilt, a mask's are its own columns and rows.
         self._own = isinstance(plane, Mask)
         self._v = window.places(self.device)
+        self._meets = returning_within(pupil.reach, pupil.bend, window.flat)
         # One quarter of the window, which the others mirror.
         half = self._v[len(self._v) // 2 :]
         distance = torch.hypot(half[None, :], half[:, None])
@@ -247,7 +248,7 @@ class SampledPass(Generic[Lens]):
         if math.isfinite(self.pupil.reach):
             # Light that misses the pupil altogether would only return as an alias.
             apart = torch.hypot(*(directions + 2 * at.middle[:, None]).unbind(-1))
-            meets = apart < _MEETS * self.pupil.reach
+            meets = apart < self._meets
             some = meets.any(0)
             directions = torch.where(meets[..., None], directions, 0.0)[:, some]
             amplitudes = (amplitudes * meets)[:, some]
@@ -268,6 +269,22 @@ class SampledPass(Generic[Lens]):
         first = phasor(self._k * coarse[:, None] * columns[:, None, :], dtype)
         steps = phasor(self._k * fine[:, None] * columns[:, None, :], dtype)
         return (first[:, :, None] * steps[:, None]).flatten(1, 2)[:, : len(v)]
+
+
+def returning_within(reach: float, bend: float, farthest: float) -> float:
+    """Distance of an order's direction from the pupil's within which some of its light returns.
+
+    Parameters
+    ----------
+    reach
+        Half width of the pupil as a direction.
+    bend
+        C in 1/m: from the place v of the spot the pupil is seen under directions that lie C v elsewhere, so that light
+        which misses it from the spot's middle may meet it from there, on its way in and out.
+    farthest
+        Largest distance v in metres.
+    """
+    return _MEETS * reach + 2 * bend * farthest
 
 
 def _unfolded(half: torch.Tensor, dim: int, count: int) -> torch.Tensor:

@@ -39,7 +39,7 @@ class ThinPupil:
         Of the fields.
     """
 
-    fixed, reach, rim = True, torch.inf, None
+    fixed, reach, bend, rim = True, torch.inf, 0.0, None
 
     def __init__(
         self,

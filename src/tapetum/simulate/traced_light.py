@@ -19,6 +19,7 @@ from tapetum.optics.grid import Grid
 from tapetum.simulate.order_paths import OrderPaths, order_paths
 from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_by_chirps
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, reach_of_rays
+from tapetum.simulate.sampled_pass import returning_within
 from tapetum.simulate.surfaces import Order, Surface
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
@@ -53,8 +54,6 @@ _OF_NODES = 0.3
 # much in the zoom at six focal lengths and focuses. Share of the accuracy that an array's orders may err by before they
 # get paths of their own.
 _OF_ASIDE, _OF_ORDERS = 2.0, 0.1
-# Distance of an order's direction from the pupil's middle, over the pupil's half width, within which it returns.
-_RETURNS = 2.05
 # How far aside of a mirror's light that of an order may land, over the spot's part whose light is accepted, where that
 # part alone is followed.
 _ASIDE = 0.25
@@ -315,11 +314,13 @@ def followed(scene: TracedScene, accuracy: float, orders: Sequence[Order] = (), 
 
 def _deflected(scene: TracedScene, orders: Sequence[Order]) -> list[tuple[float, float]]:
     """Sines of the orders that a mirror does not have and that return, and the changes of the peak for a phase of 1."""
+    fits = scene.fits
+    within = returning_within(fits.aperture[0], fits.bend, abs(fits.defocus) * fits.aperture[0] + fits.aberration)
     most = max((abs(order.amplitude) for order in orders), default=0.0)
     return [
         (size, 1.0 if abs(order.amplitude) == most else 2 * abs(order.amplitude) / most)
         for order in orders
-        if 0 < (size := math.hypot(*order.direction)) < _RETURNS * scene.fits.aperture[0]
+        if 0 < (size := math.hypot(*order.direction)) < within
     ]
 
 

@@ -23,6 +23,7 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.sampling import Plan
 from tapetum.simulate.faint import FAINT
 from tapetum.simulate.pupil_fits import PupilFits, chebyshev
+from tapetum.simulate.sampled_pass import returning_within
 from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.traced_light import (
     TracedLight,
@@ -570,8 +571,11 @@ def _grids(
         read = min(sine, fits.part.sine)
         chief = min(2 * chief, fits.part.apart) / 2
         least = math.ceil(least * read / sine)
+    fade = min(effort.rings * ring / 2, _FADE * math.sqrt(wavelength * focal_length))
     # The return lies about -s, or -s - τ, and is evaluated about s.
-    apart = 2 * sine if len(surface.orders) > 1 else 2 * chief + 2 * math.hypot(*surface.tilt)
+    apart = 2 * chief + 2 * math.hypot(*surface.tilt)
+    if len(surface.orders) > 1:
+        apart = returning_within(sine, fits.bend, half - fade)
     if mask is not None:
         # Its details turn light too, at any tilt.
         apart = 2 * float(((at @ fits.middle) / (at @ fits.radius)).abs().max()) + wavelength / mask.finest
@@ -595,7 +599,6 @@ def _grids(
         )
     # What comes from the window's edge turns fastest: splines that read between samples leave copies of 2 % of it.
     returning = max(least, math.ceil(_BETWEEN * effort.finer * 2 * read * 2 * half / wavelength))
-    fade = min(effort.rings * ring / 2, _FADE * math.sqrt(wavelength * focal_length))
     return TracedGrids(pupil, sensor, half, half - fade, returning, leaving)
 
 

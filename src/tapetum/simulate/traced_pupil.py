@@ -79,7 +79,7 @@ class TracedPupil:
         self.samples = samples[0] + samples[0] % 2, samples[1], samples[2]
         self.k, self.tilt, self.phase, self.dtype = 2 * math.pi / wavelength, tilt, phase, dtype
         self.real = dtype.to_real()
-        self.reach = fits.aperture[0]
+        self.reach, self.bend = fits.aperture[0], fits.bend
         # A rim's light does not return to that rim where but a part of the pupil is read.
         self.rim = None if fits.part is not None else self.k * fits.bend
 
