@@ -37,6 +37,8 @@ _RINGS = 24.0
 _MISFIT = 3e-3
 # Points across the pupil, and places in a row of the spot.
 _MOST, _MOST_PLACES = 700, 2500
+# Complex multiplications of a field, some half a minute.
+_MOST_PRODUCTS = 5e10
 # Of the mixed derivative's differences, in half widths.
 _STEP = 1e-2
 # Places along an axis between which exponentials are interpolated, and by how much that may be off.
@@ -332,6 +334,10 @@ class _Between:
                 break
         else:
             raise TooLargeError("paths vary too much over the spot")
+        if 2 * count**2 * len(v) * len(y) * (len(x) + len(u)) > _MOST_PRODUCTS:
+            raise TooLargeError(
+                f"{count}² times {len(y)} x {len(x)} points of the pupil and {len(v)} x {len(u)} of the spot"
+            )
         of_knots = phasor(k * rest(_grid(x, y), knots).T).reshape(-1, len(y), len(x))
         shares_u, shares_v = (interpolation(float(one.min()), float(one.max()), count, one)[1] for one in (u, v))
         across, down = (
