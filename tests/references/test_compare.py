@@ -22,7 +22,7 @@ QUICK = (0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 13, 17, 18, 19)
 # Of 20261122 the first 94 were looked at, of 20261201 all, of 20270214 the first 125: they found what is mended since.
 # 20261210 was drawn before the last, and held as it fell (scenes.md), as did the first 70 of 20270315. Of 20270419 some
 # 60 were looked at, of 20270521, 20270703, 20270819, 20270923, 20271109, 20271227 and 20280409 all, of 20280217 185.
-# What changes the physics draws another one: this one has not been looked at.
+# Of 20280707 the first 45 of the newest kind were looked at. What changes the physics draws another one.
 SEALED, SCENES = 20280526, 200
 # The kinds that took turns when the seeds before were drawn: without masks behind traced lenses, and with these, but
 # without traced lenses through the probe's aperture.
