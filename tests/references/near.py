@@ -3,9 +3,9 @@
 The field at a place v of the sensor is the sum over places e of the entrance pupil of exp(ikW(e, v)), W being the path
 of the ray from the one to the other, times √|det ∂²W/∂e∂v|/iλ, by which power is kept; the way back is the same sum
 (reciprocity). W is a polynomial in all four coordinates, fitted to the judge's own rays: nothing here knows of a model
-of the lens, of mirrors' rays or of orders' rays. The lens's stop alone must limit its light, so that the pupil is a
-disc. W is fitted in the frame whose y lies along the tilt; a plane with edges along rows and columns is summed in its
-own frame, which must lie along the tilt's.
+of the lens, of mirrors' rays or of orders' rays. The lens's stop alone must limit its light, so that the pupil is an
+ellipse in the plane in which its edge is sharp. W is fitted in the frame whose y lies along the tilt; a plane with
+edges along rows and columns is summed in its own frame, which must lie along the tilt's.
 
 But for a function of e, one of v and e·Mv, whose exponentials are products, W varies by a few turns. So its
 exponential is interpolated in v between a few places, and each costs four products of matrices.
