@@ -314,22 +314,10 @@ def _traced(dice: _Dice, kind: str, folder: Path) -> Plain:
     probe_focal = dice.log(0.05, 0.2)
     leaves = 2 * radius / (distance + length) if math.isfinite(distance) else 0.0
     angle = leaves * 1.2 + dice.even(3, 7) * wavelength / (2 * radius)
-    return {
-        "schema": "tapetum/scene/1",
-        "distance": away,
-        "illumination": light,
-        "target": {
-            "lens": lens,
-            "object_distance": distance,
-            "rotation": [tilt * math.cos(turn), tilt * math.sin(turn)],
-            "sensor": sensor,
-        },
-        "probe": {
-            "lens": {"focal_length": probe_focal, "aperture_radius": math.sqrt(dice.log(2, 20) * wavelength * away)},
-            "sensor": {"pixels": [33, 33], "pitch": 2 * probe_focal * angle / 33},
-        },
-        "sampling": {"accuracy": dice.one((0.01, 0.03, 0.05)), "propagation": "far field"},
-    }
+    rotation = [tilt * math.cos(turn), tilt * math.sin(turn)]
+    target = {"lens": lens, "object_distance": distance, "rotation": rotation, "sensor": sensor}
+    opening = math.sqrt(dice.log(2, 20) * wavelength * away)
+    return _seen(dice, away, light, target, (probe_focal, opening, angle), "far field")
 
 
 def _near(dice: _Dice, lens: Plain, wavelength: float, length: float) -> Plain:
@@ -356,19 +344,23 @@ def _near(dice: _Dice, lens: Plain, wavelength: float, length: float) -> Plain:
     probe_focal, opening = dice.log(0.05, 0.2), math.sqrt(dice.log(2, 20) * wavelength * away)
     shift = abs(1 / away - (0.0 if math.isinf(focused) else 1 / focused))
     angle = 1.4 * radius * shift + dice.even(3, 7) * wavelength / (2 * min(radius, opening))
+    # Along rows or columns to the last digit.
+    rotation = [tilt * round(math.cos(turn), 15), tilt * round(math.sin(turn), 15)]
+    target = {"lens": lens, "object_distance": focused, "rotation": rotation, "sensor": sensor}
+    return _seen(dice, away, light, target, (probe_focal, opening, angle), "finite")
+
+
+def _seen(dice: _Dice, away: float, light: Plain, target: Plain, probe: tuple[float, float, float], way: str) -> Plain:
+    """A traced lens's scene; of the probe the focal length, the aperture's radius and half of the picture's angle."""
+    focal, opening, angle = probe
     return {
         "schema": "tapetum/scene/1",
         "distance": away,
         "illumination": light,
-        "target": {
-            "lens": lens,
-            "object_distance": focused,
-            "rotation": [tilt * round(math.cos(turn), 15), tilt * round(math.sin(turn), 15)],
-            "sensor": sensor,
-        },
+        "target": target,
         "probe": {
-            "lens": {"focal_length": probe_focal, "aperture_radius": opening},
-            "sensor": {"pixels": [33, 33], "pitch": 2 * probe_focal * angle / 33},
+            "lens": {"focal_length": focal, "aperture_radius": opening},
+            "sensor": {"pixels": [33, 33], "pitch": 2 * focal * angle / 33},
         },
-        "sampling": {"accuracy": dice.one((0.01, 0.03, 0.05)), "propagation": "finite"},
+        "sampling": {"accuracy": dice.one((0.01, 0.03, 0.05)), "propagation": way},
     }

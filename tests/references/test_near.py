@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -59,37 +60,62 @@ def test_a_nearly_perfect_traced_lens_is_a_thin_one_through_the_aperture(degrees
     validated(SECTION, what, error, 0.02, "a thin lens, by the judge")
 
 
+def seen_from(distance: float, target: dict[str, Any], pitch: float) -> Scene:
+    """33 x 33 pixels of that pitch, by a probe of 2 mm with a diverging beam."""
+    return scene_from_dict(
+        {
+            "schema": "tapetum/scene/1",
+            "distance": distance,
+            "target": target,
+            "probe": {
+                "lens": {"focal_length": 0.1, "aperture_radius": 2e-3},
+                "sensor": {"pixels": [33, 33], "pitch": pitch},
+            },
+            "illumination": {"mode": "diverging", "divergence": 0.2},
+            "sampling": {"accuracy": 0.01, "propagation": "finite"},
+        }
+    )
+
+
+def over_the_stated_error(scene: Scene, effort: Effort) -> float:
+    """Largest difference from the judge, over what the engine states."""
+    image, pixels = retroreflect(scene), np.arange(33.0)
+    columns, rows = (one.ravel() for one in np.meshgrid(pixels, pixels))
+    places = pixel_places(columns, rows, scene.probe.sensor.pixels, scene.probe.sensor.pitch)
+    seen = judge(scene, places, True, effort).reshape(33, 33)
+    return float(np.abs(image.numpy()[0] - seen).max() / seen.max()) / float(image.metadata["expected_error"])
+
+
 def test_orders_that_miss_the_pupil_from_the_spots_middle_meet_it_from_beside(validated: Any) -> None:
     """Sideways orders of photosites 8 um apart, 4 Fresnel zones out of focus: left out they cost 0.061 of the peak."""
-    plain = {
-        "schema": "tapetum/scene/1",
-        "distance": 0.7,
-        "target": {
-            "lens": {"kind": "prescription", "name": "phone-a", "f_number": 5.6, "design_wavelength": WAVELENGTH},
-            "object_distance": 0.06,
-            "rotation": [0.0, "1.5 deg"],
-            "sensor": {
-                "reflectance": 1.0,
-                "pixels": [3000, 2500],
-                "pitch": 2.2e-6,
-                "array": {"pitch": 8e-6, "fill": 0.5},
-            },
-        },
-        "probe": {
-            "lens": {"focal_length": 0.1, "aperture_radius": 2e-3},
-            "sensor": {"pixels": [33, 33], "pitch": 7.7e-5},
-        },
-        "illumination": {"mode": "diverging", "divergence": 0.2},
-        "sampling": {"accuracy": 0.03, "propagation": "finite"},
-    }
-    scene = scene_from_dict(plain)
-    image = retroreflect(scene)
-    columns, rows = (one.ravel().astype(float) for one in np.meshgrid(*2 * [np.arange(33)]))
-    places = pixel_places(columns, rows, scene.probe.sensor.pixels, scene.probe.sensor.pitch)
-    seen = judge(scene, places, True, Effort(0.8, 0.6)).reshape(33, 33)
-    error, claim = float(np.abs(image.numpy()[0] - seen).max() / seen.max()), float(image.metadata["expected_error"])
+    array = {"reflectance": 1.0, "pixels": [3000, 2500], "pitch": 2.2e-6, "array": {"pitch": 8e-6, "fill": 0.5}}
+    lens = {"kind": "prescription", "name": "phone-a", "f_number": 5.6, "design_wavelength": WAVELENGTH}
+    target = {"lens": lens, "object_distance": 0.06, "rotation": [0.0, "1.5 deg"], "sensor": array}
+    scene = seen_from(0.7, target, 7.7e-5)
+    scene = replace(scene, sampling=replace(scene.sampling, accuracy=0.03))
     what = "photosites of 8 um behind a phone's lens through the probe's aperture, x_d = 60 mm, 1.5°"
-    validated(SECTION, what, error / claim, 1.0, "sums on rays' paths", "of the error stated")
+    error = over_the_stated_error(scene, Effort(0.8, 0.6))
+    validated(SECTION, what, error, 1.0, "sums on rays' paths", "of the error stated")
+
+
+LEANS = pytest.mark.xfail(strict=True, reason="the plane in which the rim is sharp leans: docs/conventions.md")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("degrees", [0.0, 1.0, pytest.param(2.0, marks=LEANS)])
+def test_the_engine_agrees_at_a_wide_aperture(degrees: float, validated: Any) -> None:
+    """6 mm f/4 focused at 0.12 m, 6 Fresnel zones out of focus."""
+    lens = {"kind": "prescription", "name": "compact-6mm-f1.9", "f_number": 4, "design_wavelength": WAVELENGTH}
+    lens["focus"] = "unit"
+    target = {
+        "lens": lens,
+        "object_distance": 0.12,
+        "rotation": [0.0, f"{degrees} deg"],
+        "sensor": {"reflectance": 1.0},
+    }
+    error = over_the_stated_error(seen_from(1.0, target, 5.2e-5), Effort(1.0, 2.5))
+    what = f"a traced lens through the probe's aperture, 6 mm f/4, x_d = 0.12 m, {degrees:g}°"
+    validated(SECTION, what, error, 1.0, "sums on rays' paths", "of the error stated")
 
 
 @pytest.mark.slow

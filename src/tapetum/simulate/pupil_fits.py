@@ -46,6 +46,8 @@ __all__ = [
 PHASE_DEGREE, MAP_DEGREE, SMOOTH_DEGREE = 12, 10, 8
 # Degree in the tilt of the box about a pupil, and its enlargement.
 _BOX_DEGREE, _BOX_MARGIN = 6, 1.03
+# Half widths of the pupil between two directions that meet it, and a little.
+_MEETS = 2.05
 # Rays farther out than this are not fitted, in half widths of the box.
 _FITTED = 1.15
 # Fields a radian of tilt: the interpolation between them is far better than the fits (tests). Far out of focus it is
@@ -172,6 +174,14 @@ class PupilFits:
         entering, leaving, radius = self.entering.to(device), self.leaving.to(device), self.radius.to(device)
         part = self.part and replace(self.part, centre=self.part.centre.to(device))
         return replace(self, entering=entering, leaving=leaving, middle=middle, radius=radius, part=part)
+
+    def meets(self, farthest: float) -> float:
+        """Distance of an order's direction from the pupil's within which some of its light returns.
+
+        From the place v of the spot, up to `farthest` metres from its middle, the pupil is seen under directions that
+        lie C v elsewhere: light that misses it from the middle may meet it from there, on its way in and out.
+        """
+        return _MEETS * self.aperture[0] + 2 * self.bend * farthest
 
 
 def fit_pupils(

@@ -134,18 +134,13 @@ class Pupil(Protocol):
         ...
 
     @property
-    def reach(self) -> float:
-        """Half width of the pupil as a direction; infinite where the samples hold all light that misses it."""
-        ...
-
-    @property
-    def bend(self) -> float:
-        """C in 1/m: by C v the pupil's directions lie elsewhere, seen from the place v of the spot."""
-        ...
-
-    @property
     def rim(self) -> float | None:
         """Curvature of both ways, k C in rad/m², where a mirror's light beyond the window is added (`SpotWindow`)."""
+        ...
+
+    def meets(self, farthest: float) -> float:
+        """Distance of an order's direction from the pupil's within which it returns light from up to `farthest` metres
+        of the spot's middle; infinite where the samples hold all light that misses the pupil."""
         ...
 
     def returns(self, sines: torch.Tensor) -> torch.Tensor:

@@ -25,12 +25,10 @@ from tapetum.simulate.pupils import Gazes, Leaving, Pupil
 from tapetum.simulate.spot_window import SpotWindow
 from tapetum.simulate.surfaces import Mask, Surface
 
-__all__ = ["SampledPass", "returning_within"]
+__all__ = ["SampledPass"]
 
 Lens = TypeVar("Lens", bound=Pupil)
 
-# Half widths of the pupil between two directions that meet it, and a little.
-_MEETS = 2.05
 # Samples a block of the kernels, and orders whose ramps are added at once.
 _BLOCK, _ORDERS = 16, 64
 
@@ -72,7 +70,7 @@ class SampledPass(Generic[Lens]):
         # A mirror's samples may lie along the tilt, a mask's are its own columns and rows.
         self._own = isinstance(plane, Mask)
         self._v = window.places(self.device)
-        self._meets = returning_within(pupil.reach, pupil.bend, window.flat)
+        self._meets = pupil.meets(window.flat)
         # One quarter of the window, which the others mirror.
         half = self._v[len(self._v) // 2 :]
         distance = torch.hypot(half[None, :], half[:, None])
@@ -245,7 +243,7 @@ class SampledPass(Generic[Lens]):
             amplitudes = amplitudes * torch.stack(
                 [torch.as_tensor(a, **precise).expand(len(amplitudes)) for a in own], -1
             )
-        if math.isfinite(self.pupil.reach):
+        if math.isfinite(self._meets):
             # Light that misses the pupil altogether would only return as an alias.
             apart = torch.hypot(*(directions + 2 * at.middle[:, None]).unbind(-1))
             meets = apart < self._meets
@@ -269,22 +267,6 @@ class SampledPass(Generic[Lens]):
         first = phasor(self._k * coarse[:, None] * columns[:, None, :], dtype)
         steps = phasor(self._k * fine[:, None] * columns[:, None, :], dtype)
         return (first[:, :, None] * steps[:, None]).flatten(1, 2)[:, : len(v)]
-
-
-def returning_within(reach: float, bend: float, farthest: float) -> float:
-    """Distance of an order's direction from the pupil's within which some of its light returns.
-
-    Parameters
-    ----------
-    reach
-        Half width of the pupil as a direction.
-    bend
-        C in 1/m: from the place v of the spot the pupil is seen under directions that lie C v elsewhere, so that light
-        which misses it from the spot's middle may meet it from there, on its way in and out.
-    farthest
-        Largest distance v in metres.
-    """
-    return _MEETS * reach + 2 * bend * farthest
 
 
 def _unfolded(half: torch.Tensor, dim: int, count: int) -> torch.Tensor:

@@ -39,7 +39,7 @@ class ThinPupil:
         Of the fields.
     """
 
-    fixed, reach, bend, rim = True, torch.inf, 0.0, None
+    fixed, rim = True, None
 
     def __init__(
         self,
@@ -70,6 +70,10 @@ class ThinPupil:
         self.entering = Entering(columns, rows, quarter[None], entering[None, down, right], (True, True))
         k = 2 * torch.pi / geometry.wavelength
         self.exit = (weights * phasor(k * defocus + path.chirp * square)).to(dtype)
+
+    def meets(self, farthest: float) -> float:
+        """Infinite: the samples hold all light that misses the pupil."""
+        return torch.inf
 
     def returns(self, sines: torch.Tensor) -> torch.Tensor:
         """Whether anything returns from tilts [B, 2]: diffracted light from all."""

@@ -19,7 +19,6 @@ from tapetum.optics.grid import Grid
 from tapetum.simulate.order_paths import OrderPaths, order_paths
 from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_by_chirps
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, reach_of_rays
-from tapetum.simulate.sampled_pass import returning_within
 from tapetum.simulate.surfaces import Order, Surface
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
@@ -315,7 +314,7 @@ def followed(scene: TracedScene, accuracy: float, orders: Sequence[Order] = (), 
 def _deflected(scene: TracedScene, orders: Sequence[Order]) -> list[tuple[float, float]]:
     """Sines of the orders that a mirror does not have and that return, and the changes of the peak for a phase of 1."""
     fits = scene.fits
-    within = returning_within(fits.aperture[0], fits.bend, abs(fits.defocus) * fits.aperture[0] + fits.aberration)
+    within = fits.meets(abs(fits.defocus) * fits.aperture[0] + fits.aberration)
     most = max((abs(order.amplitude) for order in orders), default=0.0)
     return [
         (size, 1.0 if abs(order.amplitude) == most else 2 * abs(order.amplitude) / most)

@@ -23,7 +23,6 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.sampling import Plan
 from tapetum.simulate.faint import FAINT
 from tapetum.simulate.pupil_fits import PupilFits, chebyshev
-from tapetum.simulate.sampled_pass import returning_within
 from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.traced_light import (
     TracedLight,
@@ -559,7 +558,7 @@ def _grids(
     sine, reach = fits.aperture
     at = chebyshev(nodes.places, nodes.count)
     radius = float((at @ fits.radius).min())
-    chief = min(float(((at @ fits.middle) / (at @ fits.radius)).abs().max()), sine)
+    chief = float(((at @ fits.middle) / (at @ fits.radius)).abs().max())
     ring = wavelength / (2 * sine)
     blur = abs(fits.defocus) * sine + fits.aberration
     whole = half = blur + effort.rings * ring
@@ -573,9 +572,9 @@ def _grids(
         least = math.ceil(least * read / sine)
     fade = min(effort.rings * ring / 2, _FADE * math.sqrt(wavelength * focal_length))
     # The return lies about -s, or -s - τ, and is evaluated about s.
-    apart = 2 * chief + 2 * math.hypot(*surface.tilt)
-    if len(surface.orders) > 1:
-        apart = returning_within(sine, fits.bend, half - fade)
+    apart = fits.meets(half - fade)
+    if len(surface.orders) == 1:
+        apart = min(apart, 2 * chief + 2 * math.hypot(*surface.tilt))
     if mask is not None:
         # Its details turn light too, at any tilt.
         apart = 2 * float(((at @ fits.middle) / (at @ fits.radius)).abs().max()) + wavelength / mask.finest

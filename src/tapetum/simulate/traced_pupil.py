@@ -79,9 +79,12 @@ class TracedPupil:
         self.samples = samples[0] + samples[0] % 2, samples[1], samples[2]
         self.k, self.tilt, self.phase, self.dtype = 2 * math.pi / wavelength, tilt, phase, dtype
         self.real = dtype.to_real()
-        self.reach, self.bend = fits.aperture[0], fits.bend
         # A rim's light does not return to that rim where but a part of the pupil is read.
         self.rim = None if fits.part is not None else self.k * fits.bend
+
+    def meets(self, farthest: float) -> float:
+        """Distance of an order's direction from the pupil's within which it returns, as `PupilFits` says."""
+        return self.fits.meets(farthest)
 
     def returns(self, sines: torch.Tensor) -> torch.Tensor:
         """Whether anything returns from tilts [B, 2]: beyond the last node the polynomials are invalid."""
