@@ -191,7 +191,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=200, help="scenes that the judge can do or the engine refuses")
     parser.add_argument("--kinds", help="only kinds that hold this text")
     what = "only the first so many kinds take turns: 24 for the seeds drawn before masks behind traced lenses, "
-    what += "25 for those before traced lenses through the probe's aperture were"
+    what += "25 for those before traced lenses through the probe's aperture were, 26 for those before most missed it"
     parser.add_argument("--first", type=int, default=len(KINDS), help=what)
     parser.add_argument("--numbers", help="only these scenes, as 3,17")
     parser.add_argument("--summary", action="store_true", help="print the summary of what there is")

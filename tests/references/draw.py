@@ -45,6 +45,7 @@ KINDS = (
     "all at once",
     "traced, mask",
     "traced, near",
+    "traced, far out",
 )
 _LENSES = (
     ("compact-6mm-f1.9", None),
@@ -305,6 +306,8 @@ def _traced(dice: _Dice, kind: str, folder: Path) -> Plain:
         sensor["mask"] = _mask(dice, folder, wavelength * number)
     if kind == "traced, near":
         return _near(dice, lens, wavelength, length)
+    if kind == "traced, far out":
+        return _far_out(dice, lens, wavelength, length)
     light: Plain = {"mode": "collimated", "wavelength": wavelength, "power": 1e-3, "diameter": 4 * length}
     if dice.chance(0.3):
         del light["diameter"]
@@ -348,6 +351,25 @@ def _near(dice: _Dice, lens: Plain, wavelength: float, length: float) -> Plain:
     rotation = [tilt * round(math.cos(turn), 15), tilt * round(math.sin(turn), 15)]
     target = {"lens": lens, "object_distance": focused, "rotation": rotation, "sensor": sensor}
     return _seen(dice, away, light, target, (probe_focal, opening, angle), "finite")
+
+
+def _far_out(dice: _Dice, lens: Plain, wavelength: float, length: float) -> Plain:
+    """A traced lens with a mirror, stopped down, so far out of focus that most of its light misses the aperture."""
+    number = lens["f_number"] = max(lens["f_number"], dice.log(3.5, 16))
+    radius = length / (2 * number)
+    away = dice.log(0.3, 3)
+    focused = max(radius**2 / (wavelength * dice.log(5, 30)), 4 * length)
+    tilt, turn = dice.even(0, 0.6 * math.atan(0.5 / number)), dice.even(0, 2 * math.pi)
+    light: Plain = {"mode": "diverging", "wavelength": wavelength, "power": 1e-3}
+    light["divergence"] = min(2 * math.atan(1.5 * length / away), 1.2)
+    opening = dice.log(0.2, 3) * radius
+    # By rays to the aperture, or of all that returns, and some dark rings.
+    angle = min(1.4 * radius * abs(1 / away - 1 / focused), (opening + radius) / away)
+    angle += dice.even(3, 7) * wavelength / (2 * min(radius, opening))
+    rotation = [tilt * math.cos(turn), tilt * math.sin(turn)]
+    sensor: Plain = {"reflectance": dice.even(0.05, 0.5), "pixels": [3000, 2500], "pitch": 2.2e-6}
+    target = {"lens": lens, "object_distance": focused, "rotation": rotation, "sensor": sensor}
+    return _seen(dice, away, light, target, (dice.log(0.05, 0.2), opening, angle), "finite")
 
 
 def _seen(dice: _Dice, away: float, light: Plain, target: Plain, probe: tuple[float, float, float], way: str) -> Plain:

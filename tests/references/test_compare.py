@@ -26,7 +26,7 @@ QUICK = (0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 13, 17, 18, 19)
 SEALED, SCENES = 20280526, 200
 # The kinds that took turns when the seeds before were drawn: without masks behind traced lenses, and with these, but
 # without traced lenses through the probe's aperture.
-FIRST, THEN = KINDS[:24], KINDS[:25]
+FIRST, THEN, LATER = KINDS[:24], KINDS[:25], KINDS[:26]
 SINCE = (20261127, 20270214, 20270419, 20270521, 20270703, 20270819, 20270923, 20271227, 990001)
 
 
@@ -243,3 +243,4 @@ def test_scenes_are_drawn_by_seed_and_number_alone(tmp_path: Path) -> None:
     # Numbers of older seeds stay the scenes that they were.
     assert draw(5, 24, tmp_path)[0] == "traced, mask" and draw(5, 24, tmp_path, FIRST)[0] == "mirror"
     assert draw(5, 25, tmp_path)[0] == "traced, near" and draw(5, 25, tmp_path, THEN)[0] == "mirror"
+    assert draw(5, 26, tmp_path)[0] == "traced, far out" and draw(5, 26, tmp_path, LATER)[0] == "mirror"

@@ -262,12 +262,18 @@ class Sampling:
     propagation
         From target to probe: `far field` (the aperture passes all returning light), `finite` (over the distance and
         through the probe's round aperture), or `auto`: finite where the returning beam overfills the aperture.
+    rim_light
+        Of light far out of focus behind a traced lens, most of whose rays miss the probe: whether to keep what the
+        pupil's rim sends there. False follows the rays that reach the probe alone, on tens of times fewer samples. The
+        picture then lacks the rim's light, which no stated error counts: where it was measured, 0.05 to 0.3 of the
+        peak.
     """
 
     accuracy: Annotated[float, Field(gt=0, lt=1)] = 1e-3
     pupil: Annotated[int, Field(gt=0)] | None = None
     sensor: Annotated[int, Field(gt=0)] | None = None
     propagation: Literal["auto", "far field", "finite"] = "auto"
+    rim_light: bool = True
 
 
 @dataclass(frozen=True, config=STRICT)

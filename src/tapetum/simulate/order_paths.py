@@ -21,7 +21,7 @@ import torch
 from scipy.stats import qmc  # pyright: ignore[reportMissingTypeStubs]
 
 from tapetum.optics.focus import FocusedLens
-from tapetum.optics.rays import to_plane, trace_out
+from tapetum.optics.rays import trace_out
 from tapetum.simulate.pupil_fits import (
     MAP_DEGREE,
     Fit,
@@ -34,7 +34,8 @@ from tapetum.simulate.pupil_fits import (
     least_squares,
     values_at,
 )
-from tapetum.simulate.traced_bundle import length, rim_plane, trace_bundle
+from tapetum.simulate.pupil_rim import leaving_by
+from tapetum.simulate.traced_bundle import length, trace_bundle
 
 __all__ = ["PLACES", "OrderPaths", "order_paths"]
 
@@ -207,13 +208,11 @@ def _traced(
     at = torch.stack([v[..., 0], v[..., 1] + middle[:, None], torch.full_like(v[..., 0], float(focused.image))], -1)
     direction = torch.cat([way, -torch.sqrt(1 - (way**2).sum(-1, keepdim=True))], -1)
     back = trace_out(focused.lens, at, direction)
-    rim = rim_plane(focused, sines)[:, None]
-    out, more = to_plane(back.position, back.direction, rim[..., 2])
-    e = out[..., :2] - rim[..., :2]
+    e, more = leaving_by(focused, sines, back.position, back.direction)
     even, odd = values_at(found.usual, tilt, e)
     s = torch.stack([odd[:, 0], even[:, 1]], -1)
     model = even[:, 0] + (s * v).sum(-1) + fits.bend / 2 * (v**2).sum(-1)
-    excess = back.path + more + sines[:, None] * e[..., 1] - model
+    excess = back.path + more - model
     whole = back.good & torch.isfinite(excess)
     far = torch.where(whole, back.height.amax(-1), torch.inf)
     return torch.where(whole[..., None], e, 0.0), torch.where(whole, excess, 0.0), far

@@ -27,9 +27,10 @@ import torch
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.rays import Rays, to_plane, trace
+from tapetum.simulate.pupil_rim import anywhere, exit_plane, rim_bend, rim_plane
 
 __all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "mirrored", "right_half", "spot_middles"]
-__all__ += ["pupil_depth", "rim_plane", "trace_bundle"]
+__all__ += ["trace_bundle"]
 
 # Rays a side of the two bundles that find the pupil.
 _COARSEST, _COARSE = 29, 49
@@ -46,14 +47,6 @@ _FEW = 21
 BEYOND = 1.06
 # Places between two rays, along either axis, where rims are compared.
 _BETWEEN = 8
-# Rays that find the rim, and how far at most its image is sought behind the entrance pupil, in radii of it.
-_RIM_RAYS, _DEEPEST = 65, 2.0
-# Farthest exit pupil before the sensor, in focal lengths, in place of one farther away or behind it.
-_FARTHEST_PUPIL = 40.0
-# Sine of the tilts between which rays from a place of the rim cross, and steps of the search for these rays.
-_LITTLE_TILT, _STEPS = 1e-3, 5
-# Least and largest curvature of the rim's light over that of the light in the pupil's middle.
-_RIM_CURVATURES = (0.2, 3.0)
 
 
 class Passing(Protocol):
@@ -184,9 +177,9 @@ def trace_bundle(
         Where no ray gets through.
     """
     if box is None:
-        ways = _kept_ways(_anywhere(focused), _tilts(sines), curvature, count, sloped)
+        ways = _kept_ways(anywhere(focused), _tilts(sines), curvature, count, sloped)
     else:
-        ways = _followed(_anywhere(focused), _starts(box, count), sines, curvature, sloped)
+        ways = _followed(anywhere(focused), _starts(box, count), sines, curvature, sloped)
     way = (focused.image - ways.place[..., 2]) / ways.direction[..., 2]
     places = ways.place + way[..., None] * ways.direction
     landing, direction, path = places[:, 0, :, :2], ways.direction[:, 0, :, :2], ways.path + way[:, 0]
@@ -198,7 +191,7 @@ def trace_bundle(
         slopes = torch.stack([both[:, 1] - both[:, 0], both[:, 2] - both[:, 0]], -1) / ways.step
         good = good & ways.together & torch.isfinite(slopes).flatten(2).all(-1)
     middle = _middle(landing, ways.rays) if middle is None else middle
-    radius = torch.hypot(middle, torch.full_like(middle, focused.image - _exit_plane(focused)))
+    radius = torch.hypot(middle, torch.full_like(middle, focused.image - exit_plane(focused)))
     rays = replace(ways.rays, good=good)
     return Bundle(ways.e, direction, landing, path, slopes, middle, radius, rim_bend(focused), ways.before, rays)
 
@@ -220,11 +213,6 @@ class _Ways:
     path: torch.Tensor
     together: torch.Tensor
     step: float
-
-
-def _anywhere(focused: FocusedLens) -> FocusedLens:
-    """The lens with no sensor: the same for a sensor or a filter moved behind it."""
-    return replace(focused, image=0.0)
 
 
 def _tilts(sines: torch.Tensor) -> tuple[float, ...]:
@@ -317,72 +305,6 @@ def spot_middles(focused: FocusedLens, sines: torch.Tensor, *, count: int) -> to
     return trace_bundle(focused, sines, count=count, sloped=False).middle
 
 
-def rim_bend(focused: FocusedLens) -> float:
-    """C of the light that the pupil's rim sends on under other directions than its rays', along s, in 1/m.
-
-    Only light far from the spot feels C, and it comes from the rim: to v from where the rim lies across v, so that s is
-    along v. Light from a place of the rim seems to come from where the rays through it cross behind the lens, at the
-    distance L before the sensor along the axis: C is cos³θ/L. The stop's paraxial image has the L of light near the
-    axis alone. With the C of the head-on rim real rays keep to the model's paths under a tilt, too.
-    """
-    rim = _rim(_anywhere(focused))
-    middle = 1 / (focused.image - _exit_plane(focused))
-    # Parallel rays cross nowhere.
-    found = 1 / ((focused.image - rim.crossing) * (1 + rim.slope**2) ** 1.5) if math.isfinite(rim.crossing) else middle
-    return min(max(found, _RIM_CURVATURES[0] * middle), _RIM_CURVATURES[1] * middle)
-
-
-def pupil_depth(focused: FocusedLens) -> float:
-    """How far behind the paraxial entrance pupil the probe sees the pupil's rim sharp, in metres.
-
-    On any other plane the rim's place depends on the direction of the light, which differs between what enters and what
-    leaves.
-    """
-    return _rim(_anywhere(focused)).depth
-
-
-@dataclass(frozen=True)
-class _Rim:
-    """Where rays through a place of the rim, under tilts of either sign, cross: z behind the lens, infinite where they
-    do not, and `depth` behind the entrance pupil before it. `slope` is that of the ray head on behind the lens."""
-
-    crossing: float
-    slope: float
-    depth: float
-
-
-@functools.lru_cache(maxsize=32)
-def _rim(lens: FocusedLens) -> _Rim:
-    sines = torch.tensor([0.0, -_LITTLE_TILT, _LITTLE_TILT], dtype=torch.float64)
-    line = torch.linspace(0, 2.2 * lens.entrance_radius, _RIM_RAYS, dtype=torch.float64)
-
-    def sent(y: torch.Tensor, tilts: torch.Tensor) -> Rays:
-        e = torch.stack([torch.zeros_like(y), y], -1)
-        start, way, _ = _incoming(lens, e, tilts, 0.0, depth=0.0)
-        return trace(lens.lens, start, way)
-
-    rays = sent(line[None], sines[:1])
-    stopped = ~(rays.good & (rays.height <= 1).all(-1))[0]
-    first = int(torch.nonzero(stopped)[0]) if bool(stopped.any()) else _RIM_RAYS - 1
-    # Just beyond the edge head on: the highest ray is that at the surface whose rim stops it.
-    y = line[max(first, 1)].expand(3, 1)
-    beyond, inside = sent(y, sines).height, sent(0.9 * y, sines).height
-    rim = int(torch.nan_to_num(beyond[0, 0]).argmax())
-    rate = (torch.sqrt(beyond[:, :, rim]) - torch.sqrt(inside[:, :, rim])) / (0.1 * y)
-    for _ in range(_STEPS):
-        y = y + (1 - torch.sqrt(sent(y, sines).height[:, :, rim])) / rate
-    rays = sent(y, sines)
-    place, _ = to_plane(rays.position, rays.direction, 0.0)
-    slope = rays.direction[:, 0, 1] / rays.direction[:, 0, 2]
-    crossing = float((place[1, 0, 1] - place[2, 0, 1]) / (slope[2] - slope[1]))
-    depth = float((y[1, 0] - y[2, 0]) / (2 * math.tan(math.asin(_LITTLE_TILT))))
-    if not math.isfinite(crossing + depth):
-        # No ray gets through just beyond the edge: as of a lens without aberrations.
-        return _Rim(math.inf, -lens.entrance_radius / lens.focal_length, 0.0)
-    deepest = _DEEPEST * lens.entrance_radius
-    return _Rim(crossing, float(slope[0]), min(max(depth, -deepest), deepest))
-
-
 def _starts(box: tuple[torch.Tensor, torch.Tensor], count: int) -> torch.Tensor:
     """Where the rays of each bundle cross the entrance pupil's plane, [F, N, 2], within its box."""
     lower, upper = box
@@ -399,32 +321,13 @@ def _middle(landing: torch.Tensor, rays: Rays) -> torch.Tensor:
     return (landed.sum(-1) / passing.sum(-1)).detach()
 
 
-def _exit_plane(focused: FocusedLens) -> float:
-    """z of the exit pupil, or of a plane far before the sensor where the lens is nearly telecentric."""
-    farthest = _FARTHEST_PUPIL * abs(focused.focal_length)
-    away = focused.image - focused.exit_pupil
-    if not math.isfinite(away) or away <= 0 or away > farthest:
-        away = farthest
-    return focused.image - away
-
-
-def rim_plane(focused: FocusedLens, sines: torch.Tensor, depth: float | None = None) -> torch.Tensor:
-    """Where the axis of light under tilts of sines [F] meets the plane that e is counted in, [F, 3].
-
-    `depth` is that of the plane behind the entrance pupil; default: `pupil_depth`.
-    """
-    depth = pupil_depth(focused) if depth is None else depth
-    aside = depth * sines / torch.sqrt(1 - sines**2)
-    return torch.stack([torch.zeros_like(sines), aside, torch.full_like(sines, focused.entrance_pupil + depth)], -1)
-
-
 def _incoming(
-    focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float, depth: float | None = None
+    focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Starting points [F, N, 3], directions and paths so far beyond that of the axis; `depth` as for `rim_plane`."""
+    """Starting points [F, N, 3], directions and paths so far beyond that of the axis."""
     axis = torch.stack([torch.zeros_like(sines), sines, torch.sqrt(1 - sines**2)], -1)[:, None, :]
     across = torch.cat([e, torch.zeros_like(e[..., :1])], -1)
-    middle = rim_plane(focused, sines, depth)[:, None]
+    middle = rim_plane(focused, sines)[:, None]
     start, along = across + middle, (across * axis).sum(-1)
     if curvature == 0:
         return start, axis.expand_as(start), along
@@ -443,7 +346,7 @@ def _pupil_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) ->
 
     They are interpolated between tilts in equal steps, which all bundles of a lens share.
     """
-    lens, steepest, finer = _anywhere(focused), float(sines.abs().max()), _BOXES_A_SINE
+    lens, steepest, finer = anywhere(focused), float(sines.abs().max()), _BOXES_A_SINE
     while 1e-3 < steepest < _FEWEST_BOXES / finer:
         finer *= 4
     place = sines.abs() * finer

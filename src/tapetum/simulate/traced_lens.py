@@ -17,11 +17,12 @@ from tapetum.optics.sampling import check_aperture
 from tapetum.simulate.glints import Glints, GlintTable, glint_tables
 from tapetum.simulate.probe_path import ProbeAperture
 from tapetum.simulate.pupil_fits import PupilFits, TiltNodes, fit_pupils, rounded_up
+from tapetum.simulate.pupil_rim import pupil_depth
 from tapetum.simulate.radiometry import beam_radius, illumination_curvature
 from tapetum.simulate.reflections import glinting
 from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.traced_again import group_again
-from tapetum.simulate.traced_bundle import pupil_depth, trace_bundle
+from tapetum.simulate.traced_bundle import trace_bundle
 from tapetum.simulate.traced_light import Way, any_angle, return_angle
 from tapetum.simulate.traced_plan import TracedGroup, TracedMask, traced_group, traced_mask
 
@@ -201,6 +202,7 @@ class TracedLens:
             "probe_focal_length": probe.focal_length,
             "curvature": self._curvature,
             "aperture": aperture,
+            "rim_light": self._scene.sampling.rim_light,
             "dtype": dtype,
             "device": device,
         }

@@ -20,7 +20,7 @@ from tapetum.simulate.order_paths import OrderPaths, order_paths
 from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_by_chirps
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, reach_of_rays
 from tapetum.simulate.surfaces import Order, Surface
-from tapetum.simulate.traced_return import check_return, corrected, trace_return
+from tapetum.simulate.traced_return import check_return, corrected, rim_error, trace_return
 
 __all__ = [
     "TracedLight",
@@ -34,6 +34,7 @@ __all__ = [
     "nearer_by",
     "return_angle",
     "traced_scene",
+    "without_rim_light",
 ]
 
 # Fresnel zones of the cone of light on the plane above which each place of the pupil has one leaving ray.
@@ -62,12 +63,14 @@ _LARGEST_DEPARTURE = 0.05
 
 class Way(TypedDict, total=False):
     """The light's way: `wavelength` and `probe_focal_length` in metres, which must be given; `curvature` of the light
-    that enters, in 1/m; the probe's `aperture`, where the return overfills it; `dtype` and `device` of the fields."""
+    that enters, in 1/m; the probe's `aperture`, where the return overfills it; `rim_light` as a scene's sampling has
+    it; `dtype` and `device` of the fields."""
 
     wavelength: Required[float]
     probe_focal_length: Required[float]
     curvature: float
     aperture: ProbeAperture | None
+    rim_light: bool
     dtype: torch.dtype
     device: torch.device | str
 
@@ -95,8 +98,8 @@ class TracedScene:
     """The lens, and its light's way to the pixels of `output`. Lengths in metres, `curvature` in 1/m.
 
     `path` leads to these pixels, `trial` to the fewer ones on which samplings are compared. Light under angles above
-    `accepted` misses the probe's aperture; `seen` is the largest angle from the picture's middle to its corner, or to
-    the aperture's edge.
+    `accepted` misses the probe's aperture, and may be left out but for what the rim sends, where `rim_light` is not
+    kept. `seen` is the largest angle from the picture's middle to its corner, or to the aperture's edge.
     """
 
     focused: FocusedLens
@@ -108,6 +111,7 @@ class TracedScene:
     curvature: float
     accepted: float | None
     seen: float
+    rim_light: bool
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,9 @@ class TracedLight:
 
     `fits` are its pupils, `by_rays` whether rays correct them, for light up to the angle `accepted`; `orders` the paths
     of the plane's orders, where they have their own; `departure` the RMS of the rays' paths against the model's in
-    metres; `unsure` the error of what is left of it; `angle` the largest at which light leaves, and `bright` and
-    `steepest` the sines of the steepest tilts for which the claim is made, and that is asked for.
+    metres; `unsure` the error of what is left of it, of which `rims` is the `rim_error`; `angle` the largest at which
+    light leaves, and `bright` and `steepest` the sines of the steepest tilts for which the claim is made, and that is
+    asked for.
     """
 
     fits: PupilFits
@@ -126,6 +131,7 @@ class TracedLight:
     orders: OrderPaths | None
     departure: float
     unsure: float
+    rims: float
     angle: float
     bright: float
     steepest: float
@@ -145,6 +151,7 @@ def traced_scene(
     probe_focal_length: float,
     curvature: float = 0.0,
     aperture: ProbeAperture | None = None,
+    rim_light: bool = True,
     dtype: torch.dtype = torch.complex64,
     device: torch.device | str = "cpu",
 ) -> TracedScene:
@@ -180,7 +187,7 @@ def traced_scene(
         # Light under larger angles misses the probe's aperture, at any place in the picture.
         accepted = seen = (aperture.radius + fits.aperture[1]) / float(aperture.distance)
     trial = path if few is output else to(few)
-    return TracedScene(focused, fits, path, trial, output, wavelength, curvature, accepted, seen)
+    return TracedScene(focused, fits, path, trial, output, wavelength, curvature, accepted, seen, rim_light)
 
 
 def _compared(output: Grid, detail: float) -> Grid:
@@ -233,7 +240,9 @@ def followed(scene: TracedScene, accuracy: float, orders: Sequence[Order] = (), 
     Only what a plane returns by rays can be corrected by them: not what a mask scatters. `orders` are the plane's, a
     mirror's by default.
     """
-    focused, fits, wavelength, accepted = scene.focused, scene.fits, scene.wavelength, scene.accepted
+    focused, fits, wavelength = scene.focused, scene.fits, scene.wavelength
+    # The rim sends light straight on from wherever it lies, and head on as much as all rays do.
+    accepted = None if scene.rim_light else scene.accepted
     blurred = is_blurred(fits, wavelength)
     sines = torch.linspace(0, 0.95 * fits.nodes.steepest, 6, dtype=torch.float64)
     told = check_return(focused, fits, sines, curvature=scene.curvature)
@@ -281,14 +290,23 @@ def followed(scene: TracedScene, accuracy: float, orders: Sequence[Order] = (), 
         paths = order_paths(focused, pupils, curvature=scene.curvature)
         aside = 2 * math.pi * (paths.misfit + paths.between) / wavelength
     unsure += aside * weight
+    # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for
+    # tilts that return enough.
+    lit = float(sines[told.overlap >= _FADING * told.overlap.max()].max())
+    rims = _of_rims(scene, sines[sines <= lit], accepted) if by_rays else 0.0
+    unsure += rims
     coarser = (
         f"ask for an accuracy of {accuracy_above(unsure):g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
     )
     if unsure > allowed:
+        what = f"light does not come back the way it went, by {unsure / 2 / math.pi:.2g} waves"
+        if rims > unsure / 2:
+            what = f"the rims that cut its light lie at different depths, which may change the peak by {rims:.2g}"
         raise InputError(
-            f"light does not come back the way it went, by {unsure / 2 / math.pi:.2g} waves",
+            what,
             where="target",
-            remedy=f"{coarser}focus nearer to the probe, or stop the lens down with f_number",
+            remedy=f"{coarser}focus nearer to the probe, or stop the lens down with f_number"
+            + without_rim_light(scene, angle),
         )
     steepest = fits.nodes.steepest
     if scene.path.aperture is not None:
@@ -304,11 +322,30 @@ def followed(scene: TracedScene, accuracy: float, orders: Sequence[Order] = (), 
                 "aperture",
             )
         unsure += missed
-    # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for
-    # tilts that return enough.
-    lit = float(sines[told.overlap >= _FADING * told.overlap.max()].max())
     bright = min(lit, pupils.nodes.steepest)
-    return TracedLight(pupils, by_rays, accepted, paths, departure, unsure, angle, bright, steepest)
+    return TracedLight(pupils, by_rays, accepted, paths, departure, unsure, rims, angle, bright, steepest)
+
+
+def without_rim_light(scene: TracedScene, angle: float) -> str:
+    """A remedy for light that leaves under angles up to this: to leave the rim's light out, where that is possible."""
+    if not scene.rim_light or scene.accepted is None or angle <= _FADED * scene.accepted:
+        return ""
+    return ", or leave out what the rim sends with sampling.rim_light=false"
+
+
+def _of_rims(scene: TracedScene, sines: torch.Tensor, accepted: float | None) -> float:
+    """The `rim_error` of light up to the angle `accepted`."""
+    aperture = scene.path.aperture
+    assert aperture is not None
+    return rim_error(
+        scene.focused,
+        sines,
+        wavelength=scene.wavelength,
+        distance=float(aperture.distance),
+        probe_radius=aperture.radius,
+        curvature=scene.curvature,
+        accepted=accepted,
+    )
 
 
 def _deflected(scene: TracedScene, orders: Sequence[Order]) -> list[tuple[float, float]]:

@@ -33,6 +33,7 @@ from tapetum.simulate.traced_light import (
     followed,
     in_air,
     traced_scene,
+    without_rim_light,
 )
 from tapetum.simulate.traced_pass import AT_ONCE_BYTES, TracedGrids, TracedPass
 
@@ -122,6 +123,8 @@ class TracedPlan(Plan):
         RMS of the rays' paths against the model's, in metres, before they correct it.
     by_rays
         Whether they do.
+    rim_light
+        Whether the picture has what the pupil's rim sends of light far out of focus, see `bench.Sampling`.
     expected_error
         Largest error of the irradiance, in fractions of the image's own peak: that of sampling, 3 times what changes
         over the next two finer samplings, and that of the paths' error as a phase. Infinite where the steepest
@@ -135,6 +138,7 @@ class TracedPlan(Plan):
     sensor: int
     departure: float
     by_rays: bool
+    rim_light: bool
     expected_error: float
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
@@ -220,7 +224,8 @@ def traced_group(
         passes, plans = [one for one, _ in found], [plan for _, plan in found]
         worst = max(plans, key=lambda plan: plan.expected_error)
         if len(passes) > 1:
-            worst = replace(worst, expected_error=_together(passes, plans))
+            whole = all(plan.rim_light for plan in plans)
+            worst = replace(worst, rim_light=whole, expected_error=_together(passes, plans))
         return TracedGroup(passes, worst)
 
     group = made(1.0)
@@ -330,7 +335,14 @@ def _planned(
     light = followed(scene, share * accuracy, surface.orders)
     wanted = share * _for_samples(light, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
-    found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, wanted, allowed=accuracy, seen=seen)
+    found = _climbed(
+        lambda effort: _made(scene, light, surface, effort),
+        tried,
+        wanted,
+        allowed=accuracy,
+        seen=seen,
+        remedy=without_rim_light(scene, light.angle),
+    )
     if pictures >= _PAYS_FROM:
         found = _thinned(scene, light, surface, found, tried, max(wanted, found.error), seen)
     _check_power(found.usual, tried, sum(abs(order.amplitude) for order in surface.orders) ** 2)
@@ -393,11 +405,13 @@ def _climbed(
     seen: _Seen = _irradiance,
     least: float = 0.0,
     first: int = 0,
+    remedy: str = "",
 ) -> _Step:
     """The first step of the ladder, from `first` on, whose error at the tilts tried is within the accuracy.
 
     Errors are over each picture's peak, or over `least` where that is more. Where no step gets there, or one would take
-    too many samples, the best one whose error is within what is `allowed`.
+    too many samples, the best one whose error is within what is `allowed`. Where there is none, `remedy` is one more
+    that the error names.
     """
     steps: list[_Attempt] = []
     best: _Step | None = None
@@ -428,7 +442,7 @@ def _climbed(
     raise InputError(
         f"{accuracy:.2g} of the peak is not reached with {steps[0].one.grids.pupil} samples over the pupil",
         where="sampling.accuracy",
-        remedy=f"{coarser}stop the lens down with f_number",
+        remedy=f"{coarser}stop the lens down with f_number{remedy}",
     )
 
 
@@ -520,7 +534,15 @@ def _stated(light: TracedLight, found: _Step, least: float = 0.0, seen: _Seen = 
         image, better = (seen(one, faint) for one in (found.usual, found.finer))
         claimed = max(claimed, _SAFETY * _apart(image, better, least))
     grids = found.usual.grids
-    return TracedPlan(grids.pupil, grids.pupil, grids.sensor, light.departure, light.by_rays, claimed + light.unsure)
+    return TracedPlan(
+        grids.pupil,
+        grids.pupil,
+        grids.sensor,
+        light.departure,
+        light.by_rays,
+        light.accepted is None,
+        claimed + light.unsure,
+    )
 
 
 def _changed(images: Sequence[torch.Tensor], least: float) -> float:

@@ -28,6 +28,7 @@ from tapetum.simulate.pupil_fits import (
     part_of,
     values_at,
 )
+from tapetum.simulate.pupil_rim import leaving_by, rim_depths, sharp_plane
 from tapetum.simulate.traced_bundle import (
     BEYOND,
     Bundle,
@@ -35,11 +36,10 @@ from tapetum.simulate.traced_bundle import (
     limiting_surfaces,
     mirrored,
     right_half,
-    rim_plane,
     trace_bundle,
 )
 
-__all__ = ["Returned", "TracedReturn", "check_return", "corrected", "trace_return"]
+__all__ = ["Returned", "TracedReturn", "check_return", "corrected", "rim_error", "trace_return"]
 
 # Share of a bundle below which a return is not fitted: it is faint, and has too few rays.
 _LEAST_SHARE = 0.03
@@ -70,7 +70,7 @@ class Returned:
     mirror
         [F, N, 2] where they met the mirror.
     e
-        [F, N, 2] where they cross the plane of the entrance pupil again.
+        [F, N, 2] where they leave the entrance pupil, see `leaving_by`.
     path
         [F, N] the whole path there, the tilt removed.
     turned
@@ -151,10 +151,8 @@ def _sent_back(focused: FocusedLens, bundle: Bundle, sines: torch.Tensor) -> Ret
     at, way = to_plane(rays.position, rays.direction, focused.image)
     reflected = rays.direction * rays.direction.new_tensor([1.0, 1.0, -1.0])
     back = mirrored(trace_out(focused.lens, right_half(at), right_half(reflected)), math.isqrt(at.shape[1]))
-    middle = rim_plane(focused, sines)[:, None]
-    out, more = to_plane(back.position, back.direction, middle[..., 2])
-    e = out[..., :2] - middle[..., :2]
-    path = bundle.before + rays.path + way + back.path + more + sines[:, None] * e[..., 1]
+    e, more = leaving_by(focused, sines, back.position, back.direction)
+    path = bundle.before + rays.path + way + back.path + more
     turned = back.direction[..., :2] + torch.stack([torch.zeros_like(sines), sines], -1)[:, None, :]
     height = torch.cat([rays.height, back.height], -1)
     return Returned(bundle, at[..., :2], e, path, turned, height, bundle.good & back.good)
@@ -176,6 +174,54 @@ def check_return(
     passing = back.passing
     departure = _spread(back.path - _model_path(fits, tilt, back), passing)
     return TracedReturn(departure, passing.sum(-1) / back.bundle.passing.sum(-1), back.angle)
+
+
+def rim_error(
+    focused: FocusedLens,
+    sines: torch.Tensor,
+    *,
+    wavelength: float,
+    distance: float,
+    probe_radius: float,
+    curvature: float = 0.0,
+    accepted: float | None = None,
+) -> float:
+    """What a picture's peak may be off by because rims that cut the leaving light are sharp elsewhere, RMS.
+
+    Pupils made by `corrected` cut the light in the plane of `leaving_by`. What a rim d before or behind it sends under
+    the angle q against the ray there is off by k d q²/2, and a change of the phase of all that the rim sends changes
+    the peak by up to half of it. A probe that is focused at infinity has the light along the tilt in the middle of its
+    picture, where rims all around send theirs: what leaves opposite its aperture goes straight, and the rest to its
+    edge. For that rest the plane's lean is left out, too.
+
+    Parameters
+    ----------
+    focused, sines, curvature
+        As for `trace_return`.
+    wavelength, distance, probe_radius
+        Of the light, to the probe, and of its aperture, in metres.
+    accepted
+        Largest angle of light that is followed, in radians; default: all.
+    """
+    back = trace_return(focused, sines, curvature=curvature)
+    coming, leaving = back.height.tensor_split([back.bundle.height.shape[-1]], -1)
+    highest = back.height.amax(-1)
+    edge = back.good & (highest > 1) & (highest <= BEYOND**2)
+    cut = edge & (leaving.amax(-1) >= coming.amax(-1))
+    if accepted is not None:
+        cut = cut & (length(back.turned) <= accepted)
+    field, ray = torch.nonzero(cut, as_tuple=True)
+    e, turned = back.e[field, ray], back.turned[field, ray]
+    middle = torch.stack([torch.zeros_like(sines), sines], -1)[field]
+    # Half way between the ray and what goes along the tilt.
+    depth = rim_depths(focused, e, middle - turned / 2, leaving[field, ray].argmax(-1))
+    lean, deeper = sharp_plane(focused, sines)
+    plane = deeper[field] + lean[field] * e[:, 1]
+    missing = (1 - probe_radius / length(e)).clamp_min(0)[:, None] * e / distance
+    across, along = ((one**2).sum(-1) for one in (missing + turned, missing))
+    phase = torch.nan_to_num(math.pi / wavelength * ((depth - plane) * across + plane * along))
+    square = torch.zeros(len(sines), dtype=torch.float64).index_add(0, field, phase**2)
+    return float((square / edge.sum(-1).clamp_min(1)).sqrt().max()) / 2
 
 
 def _spread(path: torch.Tensor, passing: torch.Tensor) -> torch.Tensor:
