@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from scipy.optimize import brentq
 
 from tapetum.bench import PrescriptionLens
 from tapetum.optics.focus import FocusedLens
@@ -20,15 +21,14 @@ def crossing(lens: FocusedLens, surface: int, sine: float, side: float) -> tuple
     """Height and z at which two rays cross, before the lens, that meet the rim of a surface above (1) or below (-1)."""
     ends = []
     for tilt in (sine - 1e-3, sine + 1e-3):
-        slope = tilt / math.sqrt(1 - tilt**2)
-        low, high = 0.5 * lens.entrance_radius, 1.5 * lens.entrance_radius
-        for _ in range(44):
-            y = (low + high) / 2
+        way = torch.tensor([[[0.0, tilt, math.sqrt(1 - tilt**2)]]], dtype=torch.float64)
+
+        def beyond(y: float, way: torch.Tensor = way) -> float:
             place = torch.tensor([[[0.0, side * y, lens.entrance_pupil]]], dtype=torch.float64)
-            way = torch.tensor([[[0.0, tilt, math.sqrt(1 - tilt**2)]]], dtype=torch.float64)
-            inside = float(trace(lens.lens, place, way).height[0, 0, surface]) <= 1
-            low, high = (y, high) if inside else (low, y)
-        ends.append((side * low, slope))
+            return float(trace(lens.lens, place, way).height[0, 0, surface]) - 1
+
+        y = brentq(beyond, 0.7 * lens.entrance_radius, 1.3 * lens.entrance_radius, xtol=1e-13)
+        ends.append((side * y, tilt / math.sqrt(1 - tilt**2)))
     (first, one), (second, other) = ends
     z = (first - second) / (other - one)
     return first + one * z, lens.entrance_pupil + z
