@@ -30,6 +30,14 @@ def test_one_image_is_rows_by_columns(run, tmp_path: Path) -> None:
     assert np.array_equal(image, retroreflect(scene, 0.5).numpy()[0])
 
 
+def test_a_picture_says_that_it_lacks_the_rims_light(run, tmp_path: Path) -> None:
+    """Its stated error does not count it: `phones` leaves it out of its filters' light."""
+    lacks = "of the peak, but for what the rim sends (sampling.rim_light)"
+    for one, told in (("phones", True), ("rotation", False)):
+        ran = run("simulate", one, "-o", tmp_path / f"{one}.npy", "--set", "probe.sensor.pixels=[40, 32]")
+        assert ran.code == 0 and (lacks in ran.out) is told
+
+
 def test_two_sweeps_make_a_grid(run, tmp_path: Path) -> None:
     sweeps = ("--sweep", "rotation=0,0.5,1", "--sweep", "object_distance=1,2.5,5")
     ran = run("simulate", "thin-lens", *sweeps, *SMALL, "-o", tmp_path / "x.npy", "--json")

@@ -12,6 +12,7 @@ import torch
 from traced_cases import WAVELENGTH, K
 
 from tapetum.bench import PrescriptionLens
+from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
@@ -182,6 +183,14 @@ def test_no_light_of_an_array_is_lost_through_a_small_aperture() -> None:
     plain = replace(light, fits=scene.fits, by_rays=False, orders=None)
     peaks = [made(scene, one, (0.0, SINE)).field(tilts).abs().amax((1, 2)) for one in (light, plain)]
     assert torch.allclose(*peaks, rtol=0.1)
+
+
+def test_a_refusal_names_the_rims_light_where_leaving_it_out_helps() -> None:
+    with pytest.raises(InputError, match=r"different depths.*sampling\.rim_light=false"):
+        followed(scene_of(0.1, 1.2, 2e-3), 0.03)
+    # Through a wide aperture all of the pupil is followed in any case.
+    with pytest.raises(InputError, match=r"different depths.*with f_number$"):
+        followed(scene_of(0.1, 1.2, 12.5e-3), 0.03)
 
 
 def test_a_mirror_in_focus_needs_no_paths_of_orders() -> None:

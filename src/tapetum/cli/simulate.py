@@ -184,10 +184,13 @@ def _record(image: Image, axes: list[Sweep], out: Path) -> dict[str, Any]:
 
 
 def _say(image: Image, scene: Scene, out: Path) -> str:
+    from tapetum.simulate.plan_parts import within
+
     count, rows, columns = image.irradiance.shape
     error = image.metadata["expected_error"]
     asked = scene.sampling.accuracy
-    claim = f"error within {error:.1e} of the peak" + (f" (asked {asked:g})" if error > 1.05 * asked else "")
+    claim = f"error {within(error, rim_light=image.metadata['rim_light'])}"
+    claim += f" (asked {asked:g})" if error > 1.05 * asked else ""
     if not math.isfinite(error):
         # Not known, or without meaning, for two reasons.
         claim = "sampled by hand more coarsely than planned: error unknown"

@@ -63,7 +63,7 @@ from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.thin_errors import faded_by_tilted_planes, of_narrow_beam, of_the_way, of_tilted_planes
 from tapetum.simulate.traced_again import tilts_like
 from tapetum.simulate.traced_lens import TracedLens
-from tapetum.simulate.traced_plan import TracedGroup
+from tapetum.simulate.traced_plan import TracedGroup, TracedPlan
 from tapetum.simulate.true_paths import check_squash
 
 __all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
@@ -721,6 +721,8 @@ class Camera:
             "beam_radius_at_target": beam_radius(scene),
             "return_radius_at_probe": returning,
             "propagation": way,
+            # Whether no plane's picture lacks what the pupil's rim sends, see `bench.Sampling`.
+            "rim_light": all(plan.rim_light for plan in self._plans if isinstance(plan, TracedPlan)),
             "wavelengths": [line.wavelength for line in self._lines],
             "planes": sum(len(line.passes) + len(line.scatterers) for line in self._lines[:1]),
         }

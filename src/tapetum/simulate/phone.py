@@ -152,10 +152,12 @@ class PhoneCamera:
         return any(camera.polychromatic for camera, _ in self.units)
 
     def metadata(self) -> dict[str, Any]:
-        """Of the first camera, with the places of all."""
-        first = self.units[0][0].metadata()
+        """Of the first camera, with the places of all, and whether all have the light of their rims."""
+        each = [camera.metadata() for camera, _ in self.units]
         error = self.plan.expected_error + max(camera.area.error for camera, _ in self.units)
-        return {**first, "expected_error": error, "cameras": [unit.place for _, unit in self.units]}
+        whole = all(one["rim_light"] for one in each)
+        places = [unit.place for _, unit in self.units]
+        return {**each[0], "expected_error": error, "rim_light": whole, "cameras": places}
 
 
 def open_camera(scene: Scene, steepest: float, **options: Any) -> Camera | PhoneCamera:

@@ -9,13 +9,20 @@ from typing import Any
 
 from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE, AtDistance, EyeSafety
 
-__all__ = ["LABEL", "EyeCheck", "Geometry", "Rows", "SamplingChoice", "in_si", "row", "wrapped"]
+__all__ = ["LABEL", "EyeCheck", "Geometry", "Rows", "SamplingChoice", "in_si", "row", "within", "wrapped"]
 
 LABEL = 18  # characters
 _WIDTH = 100
 _PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"))
 
 Rows = list[tuple[str, str]]
+
+
+def within(error: float, *, rim_light: bool) -> str:
+    """A picture's stated error in words, and whether it counts the light of the pupil's rim, see `bench.Sampling`."""
+    return f"within {error:.1e} of the peak" + (
+        "" if rim_light else ", but for what the rim sends (sampling.rim_light)"
+    )
 
 
 @dataclass(frozen=True)

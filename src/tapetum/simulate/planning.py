@@ -19,7 +19,7 @@ from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE, beam_of, eye_safety
 from tapetum.simulate.gaze import gaze_of, tilt_of_gaze
 from tapetum.simulate.information import FisherInformation, checked_parameters, fisher, not_told
 from tapetum.simulate.phone import open_camera
-from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoice, in_si, row, wrapped
+from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoice, in_si, row, within, wrapped
 from tapetum.simulate.radiometry import illumination_curvature
 from tapetum.simulate.reflections import glinting
 
@@ -243,7 +243,7 @@ def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
     camera = open_camera(scene, math.hypot(*(math.sin(angle) for angle in scene.target.rotation)))
     known, plan, pixels = camera.metadata(), camera.plan, camera.sampled
     error, returning = float(known["expected_error"]), float(known["return_radius_at_probe"])
-    claim = f"within {error:.1e} of the peak"
+    claim = within(error, rim_light=bool(known["rim_light"]))
     if not math.isfinite(error):
         # Three reasons: unknown, or without meaning.
         claim = "no claim: some of the light is past the cut-off"

@@ -3,7 +3,9 @@
 The double pass of waves (traced_pass.py) takes the way out as the reverse of the way in. By reciprocity that is exact
 for light from y0, and less so for light from far beside it, where the lens has other aberrations; `check_return`
 measures the difference. Light far out of focus leaves each place of the pupil on one ray; `corrected` adds that ray's
-optical path difference (OPD) to the wave's phase.
+optical path difference (OPD) to the wave's phase. `rim_error` states what the rims that cut this light leave.
+
+One file of more than 400 lines, because the check, the correction and what both leave are read off the same rays.
 """
 
 from __future__ import annotations
@@ -189,10 +191,11 @@ def rim_error(
     """What a picture's peak may be off by because rims that cut the leaving light are sharp elsewhere, RMS.
 
     Pupils made by `corrected` cut the light in the plane of `leaving_by`. What a rim d before or behind it sends under
-    the angle q against the ray there is off by k d q²/2, and a change of the phase of all that the rim sends changes
-    the peak by up to half of it. A probe that is focused at infinity has the light along the tilt in the middle of its
-    picture, where rims all around send theirs: what leaves opposite its aperture goes straight, and the rest to its
-    edge. For that rest the plane's lean is left out, too.
+    the angle q against the ray there is off by k d q²/2. Half of that counts: where it was measured, a change of the
+    phase of all that the rim sends changed the peak by half of it (6 mm f/4, 2°) to all of it (head on). A probe that
+    is focused at infinity has the light along the tilt in the middle of its picture, where rims all around send theirs:
+    what leaves opposite its aperture goes straight, and the rest to its edge. For that rest the plane's lean is left
+    out, too.
 
     Parameters
     ----------
