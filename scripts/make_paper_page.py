@@ -72,7 +72,9 @@ def included(name: str, page: str) -> str:
     version, day = importlib.metadata.version("tapetum"), dt.datetime.now(dt.UTC).date().isoformat()
     heading, rest = page.split("\n\n", 1)
     rest = rest.replace(f"({name}.png)", f"(images/{name}.png)")
-    made_by = f"    tapetum paper {name} -o figures\n\nMeasured with Tapetum {version} on {day}.\n\n"
+    # Where the size says how many samples are taken, the page is to be made at the paper's.
+    size = " --size paper" if name in ("fig7", "fig8") else ""
+    made_by = f"    tapetum paper {name}{size} -o figures\n\nMeasured with Tapetum {version} on {day}.\n\n"
     return f"#{heading}\n\n{made_by}{rest}"
 
 
