@@ -54,7 +54,7 @@ def test_a_nearly_perfect_traced_lens_is_a_thin_one_through_the_aperture(degrees
     x = np.linspace(-1.5, 1.5, 13) * WAVELENGTH * 0.1 / (2 * radius)
     pixels = np.stack([x, 0.4 * x], 1)
     beam, plane = Beam(WAVELENGTH, (0.0, sine), 1.0), Plane(1 / (1 / 0.02 - 1 / 0.5))
-    found = np.abs(near_amplitudes(lens, beam, plane, probe, pixels, Effort(), radius=radius)) ** 2
+    found = np.abs(near_amplitudes(lens, beam, plane, probe, pixels, Effort())) ** 2
     thin = np.abs(amplitudes(ThinLens(0.02, radius), beam, plane, probe, pixels)) ** 2
     error = float(np.abs(found - thin).max() / thin.max())
     what = f"a plano-convex lens at f/16 through the probe's aperture, {degrees:g}°"
@@ -114,17 +114,17 @@ def test_the_engine_agrees_at_a_wide_aperture(degrees: float, validated: Any) ->
     """6 mm f/4 focused at 0.12 m, 6 Fresnel zones out of focus. Its rim is sharp in a plane that leans: taken as head
     on the picture at 2° was off by 3.2 times what is stated."""
     target = prime("compact-6mm-f1.9", 4, 0.12, degrees)
-    error = over_the_stated_error(seen_from(1.0, target, 5.2e-5), Effort(1.0, 2.5))
+    error = over_the_stated_error(seen_from(1.0, target, 5.2e-5), Effort(0.8, 1.2))
     what = f"a traced lens through the probe's aperture, 6 mm f/4, x_d = 0.12 m, {degrees:g}°"
     validated(SECTION, what, error, 1.0, "sums on rays' paths", "of the error stated")
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="which of a rim's depths counts is open: docs/conventions.md")
 def test_the_engine_agrees_where_a_rim_has_many_depths(validated: Any) -> None:
-    """12 mm f/4 focused at 0.2 m: 0.014 of the peak off where 0.011 are stated."""
+    """12 mm f/4 focused at 0.2 m. Light of the rim returns by the lens's axis, 0.3 mm beside the spot: the judge takes
+    a wide window."""
     scene = seen_from(1.0, prime("cmount-12mm-f1.4", 4, 0.2, 1.5, focal_length=0.012), 5.2e-5)
-    error = over_the_stated_error(scene, Effort(1.0, 2.0))
+    error = over_the_stated_error(scene, Effort(0.75, 1.2))
     what = "a traced lens through the probe's aperture, 12 mm f/4, x_d = 0.2 m, 1.5°"
     validated(SECTION, what, error, 1.0, "sums on rays' paths", "of the error stated")
 
@@ -145,7 +145,7 @@ def test_a_probe_that_most_rays_miss_sees_the_light_of_the_rim(radius: float, de
     scene = seen_from(1.0, prime("cmount-12mm-f1.4", 5.6, 0.15, degrees, focal_length=0.012), 5.2e-5)
     lens = replace(scene.probe.lens, aperture_radius=radius)
     scene = replace(scene, probe=replace(scene.probe, lens=lens))
-    error = over_the_stated_error(scene, Effort(1.0, 2.0))
+    error = over_the_stated_error(scene, Effort(0.8, 1.2))
     what = f"light far out of focus through an aperture of {1e3 * radius:g} mm, 12 mm f/5.6, x_d = 0.15 m, {degrees:g}°"
     validated(SECTION, what, error, 1.0, "sums on rays' paths", "of the error stated")
 
@@ -163,7 +163,7 @@ def test_the_engine_agrees_through_the_aperture(degrees: float, validated: Any) 
     pixels = (chosen[:, ::-1] - (np.array(found.shape[::-1]) - 1) / 2) * pitch
     lens, probe = focused(scene.target.lens, WAVELENGTH, 0.4), Probe(0.1, 0.8, 6e-3)
     beam = Beam(WAVELENGTH, (0.0, sine), 1 / 0.8)
-    amplitude = near_amplitudes(lens, beam, Plane(0.012), probe, pixels, Effort(1.0, 1.5), radius=0.012 / 11.2)
+    amplitude = near_amplitudes(lens, beam, Plane(0.012), probe, pixels, Effort(1.0, 1.5))
     light = float(image.metadata["irradiance_at_target"]) * scene.probe.transmission
     seen = np.abs(amplitude) ** 2 * light
     error = float(np.abs(found[tuple(chosen.T)] - seen).max() / found.max())

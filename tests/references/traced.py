@@ -51,7 +51,7 @@ def traced_amplitudes(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixe
     if probe.distance is not None:
         if beam.radius < 1.2 * _outer(lens, beam.sines):
             raise TooLargeError("a beam that does not fill the lens is not laid out here")
-        return near_amplitudes(lens, beam, plane, probe, pixels, effort, radius=scene.target.lens.aperture_radius)
+        return near_amplitudes(lens, beam, plane, probe, pixels, effort)
     k = 2 * math.pi / beam.wavelength
     s = np.array(beam.sines)
     cosine = math.sqrt(1 - s @ s)

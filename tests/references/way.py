@@ -18,7 +18,7 @@ from .quadrature import Complex, Real, folded, halved, interpolation, legendre, 
 
 _MOST_APERTURE = 900
 
-__all__ = ["Probe", "along", "plain_sum", "through_aperture"]
+__all__ = ["Probe", "along", "plain_sum", "points_of_aperture", "seen", "through_aperture"]
 
 
 @dataclass(frozen=True)
@@ -40,48 +40,45 @@ def along(vector: Real) -> Real:
 
 
 def through_aperture(
-    exit_field: Complex,
-    nodes: Real,
-    sine: float,
-    k: float,
-    probe: Probe,
-    pixels: Real,
-    effort: float = 1.0,
-    *,
-    rows: tuple[Real, Real, float] | None = None,
+    exit_field: Complex, nodes: Real, sine: float, k: float, probe: Probe, pixels: Real, effort: float = 1.0
 ) -> Complex:
     """Amplitudes at pixels [Q, 2] for a field [y, x] on a lens plane tilted by a sine along y, weights in it.
 
-    The field is power-normalised: squared moduli are W/m² of the plane. `rows` are its y where they are not its x, how
-    far behind the lens plane each lies, and how much that grows along y: then moduli are those of a unit of x and y.
+    The field is power-normalised: squared moduli are W/m² of the plane.
     """
     assert probe.distance is not None
-    rows = (nodes, np.zeros_like(nodes), 0.0) if rows is None else rows
-    reach = max(float(np.abs(nodes).max()), float(np.abs(rows[0]).max()))
+    count = points_of_aperture(float(np.abs(nodes).max()), k, probe, pixels, effort)
+    places = legendre(count)[0] * probe.radius
+    return seen(_at_aperture(exit_field, nodes, places, sine, k, probe.distance), places, k, probe, pixels)
+
+
+def points_of_aperture(reach: float, k: float, probe: Probe, pixels: Real, effort: float) -> int:
+    """Points across the probe's aperture for light that leaves the lens up to `reach` from its middle."""
+    assert probe.distance is not None
     widest = float(np.abs(pixels).max()) / probe.focal_length
     steep = k * ((probe.radius + reach) / probe.distance * (1 + (probe.radius + reach) / probe.distance) + widest)
     count = math.ceil(effort * 1.1 * steep * probe.radius) + 24
     if count > _MOST_APERTURE:
         raise TooLargeError(f"{count}² points of the probe's aperture")
-    places = legendre(count)[0] * probe.radius
-    field = _at_aperture(exit_field, nodes, rows, places, sine, k, probe.distance)
-    field = field * region_weights(count, probe.radius)
+    return count
+
+
+def seen(field: Complex, places: Real, k: float, probe: Probe, pixels: Real) -> Complex:
+    """Amplitudes at pixels [Q, 2] for a field [a_2, a_1] at Gauss-Legendre places across the probe's aperture."""
+    field = field * region_weights(len(places), probe.radius)
     across = phasor(-k / probe.focal_length * np.outer(pixels[:, 0], places))
     down = times(halved(k / probe.focal_length * pixels[:, 1], places), folded(field))
     return (down * across).sum(1) * (k / (2 * math.pi * probe.focal_length))
 
 
-def _at_aperture(
-    exit_field: Complex, x: Real, rows: tuple[Real, Real, float], a: Real, sine: float, k: float, distance: float
-) -> Complex:
+def _at_aperture(exit_field: Complex, x: Real, a: Real, sine: float, k: float, distance: float) -> Complex:
     """Field [a_2, a_1] at the aperture: Huygens' waves with the cosine of the direction in which each leaves."""
-    cosine = math.sqrt(1 - sine**2)
-    y, deep, slope = rows[0][:, None], rows[1][:, None], rows[2]
-    square = (y * cosine - deep * sine - a) ** 2 + (distance + y * sine + deep * cosine) ** 2
+    cosine, y = math.sqrt(1 - sine**2), x[:, None]
+    square = (y * cosine - a) ** 2 + (distance + y * sine) ** 2
     # From the point of the lens plane to that of the aperture, along the plane's normal.
-    normal = distance * cosine + a * sine + deep + slope * (a * cosine - distance * sine - y)
-    most = (max(float(np.abs(x).max()), float(np.abs(y).max())) + float(np.abs(a).max())) ** 2
-    b = (x[:, None] - a) ** 2
+    normal = distance * cosine + a * sine
+    most = (float(np.abs(x).max()) + float(np.abs(a).max())) ** 2
+    b = (y - a) ** 2
     turning = k * most / 2 * float(np.abs(1 / np.sqrt(square.min()) - 1 / distance)) + k * most**2 / (8 * distance**3)
     count = 12 + math.ceil(0.7 * turning)
     knots, shares = interpolation(0.0, most, count, b)

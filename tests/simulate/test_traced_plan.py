@@ -34,24 +34,35 @@ LENSES: list[tuple[str, float, dict[str, tuple[float, float]]]] = [
 ]
 
 
-def test_samples_on_the_way_out_hold_the_light_of_the_rim(validated: Any) -> None:
-    """They once damped it, by 0.007 of the peak here, and no comparison of two efforts saw that."""
-    case = Case("zoom-18-140mm", 1.06, 3.0, 0.135, curvature=1 / 5.5)
-    output, accuracy = Grid(200, 200, 8.8e-6), 0.02
+@pytest.mark.parametrize(
+    ("case", "radius", "accuracy", "step", "allowed"),
+    [
+        # Once damped by 0.007 of the peak, which no comparison of two efforts saw.
+        (Case("zoom-18-140mm", 1.06, 3.0, 0.135, curvature=1 / 5.5), 12.5e-3, 0.02, 7, 0.004),
+        # Most rays miss the aperture. Once off by 0.11 of the peak: the rim's light turned by 5 rad a sample.
+        (Case("compact-6mm-f1.9", 3.0, 0.2, curvature=1 / 5.5), 5e-3, 0.03, 4, 0.01),
+    ],
+    ids=str,
+)
+def test_samples_on_the_way_out_hold_the_light_of_the_rim(
+    case: Case, radius: float, accuracy: float, step: int, allowed: float, validated: Any
+) -> None:
+    """What comes out on axis far out of focus is the light of the rim, whatever the lens."""
+    output = Grid(200, 200, 8.8e-6)
     window = math.hypot(output.width, output.height) / 2 / PROBE_FOCAL
     reach = traced(case)[1].aperture[1]
-    aperture = ProbeAperture.behind_traced(5.5, 12.5e-3, WAVELENGTH, window, reach=reach, accuracy=accuracy)
+    aperture = ProbeAperture.behind_traced(5.5, radius, WAVELENGTH, window, reach=reach, accuracy=accuracy)
     scene = traced_light.traced_scene(
         *traced(case), output, wavelength=WAVELENGTH, probe_focal_length=PROBE_FOCAL, curvature=1 / 5.5,
         aperture=aperture,
     )  # fmt: skip
-    one = traced_plan._made(scene, traced_light.followed(scene, accuracy), MIRROR, traced_plan._LADDER[7])
+    one = traced_plan._made(scene, traced_light.followed(scene, accuracy), MIRROR, traced_plan._LADDER[step])
     more = replace(one.grids, leaving=2 * one.grids.leaving)
     better = TracedPass(one.fits, more, one.surface, one.path, wavelength=WAVELENGTH, accepted=one.accepted)
-    tilts = case.steepest * torch.tensor([[0.0, 0.0], [0.08, 0.1]], dtype=torch.float64)
+    tilts = case.steepest * torch.tensor([[0.0, 0.0], [0.08, 0.1], [0.1, 0.125]], dtype=torch.float64)
     ours, want = one(tilts), better(tilts)
     error = float(((ours - want).abs().amax((1, 2)) / want.amax((1, 2))).max())
-    validated(SECTION, f"twice the samples on the way out, {case}", error, 0.004, "itself")
+    validated(SECTION, f"twice the samples on the way out, {case}", error, allowed, "itself")
 
 
 @pytest.mark.parametrize("changes", [{"sampling.accuracy": 1e-300}, {"probe.lens.aperture_radius": 0.08}])

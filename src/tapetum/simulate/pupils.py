@@ -12,6 +12,7 @@ from typing import Protocol
 import torch
 
 from tapetum.simulate.probe_path import ProbePath
+from tapetum.simulate.spot_window import RimLight
 
 __all__ = ["Entering", "Gazes", "Leaving", "Pupil"]
 
@@ -134,8 +135,8 @@ class Pupil(Protocol):
         ...
 
     @property
-    def rim(self) -> float | None:
-        """Curvature of both ways, k C in rad/m², where a mirror's light beyond the window is added (`SpotWindow`)."""
+    def rim(self) -> RimLight | None:
+        """Where a mirror's light beyond the window is added to it (`SpotWindow`)."""
         ...
 
     def meets(self, farthest: float) -> float:

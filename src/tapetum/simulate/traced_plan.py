@@ -357,7 +357,12 @@ def _made(
     if mask is not None:
         angle = max(angle, any_angle(light.fits))
     focal_length = abs(scene.focused.focal_length)
-    grids = _grids(light.fits, surface, effort, scene.wavelength, angle + scene.seen, scene.seen, focal_length, mask)
+    sent = angle + scene.seen
+    if light.accepted is None:
+        # Rays at the rim that miss the probe's aperture turn the rim's light from sample to sample: by no more than
+        # the weights of the pupil's edge hold for (`edge_weights`).
+        sent = max(sent, 2 * angle)
+    grids = _grids(light.fits, surface, effort, scene.wavelength, sent, scene.seen, focal_length, mask)
     return _on_grids(scene, light, surface, grids, mask)
 
 

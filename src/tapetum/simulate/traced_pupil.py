@@ -18,6 +18,7 @@ from tapetum.simulate.foreshortening import foreshortening, turned
 from tapetum.simulate.probe_path import ProbePath
 from tapetum.simulate.pupil_fits import PupilFits, edge_weights, on_grid, on_tilt_grid, open_share
 from tapetum.simulate.pupils import Entering, Leaving
+from tapetum.simulate.spot_window import RimLight
 
 __all__ = ["TracedGazes", "TracedPupil"]
 
@@ -80,7 +81,8 @@ class TracedPupil:
         self.k, self.tilt, self.phase, self.dtype = 2 * math.pi / wavelength, tilt, phase, dtype
         self.real = dtype.to_real()
         # A rim's light does not return to that rim where but a part of the pupil is read.
-        self.rim = None if fits.part is not None else self.k * fits.bend
+        landing = abs(fits.defocus) * fits.aperture[0]
+        self.rim = None if fits.part is not None else RimLight(self.k * fits.bend, landing)
 
     def meets(self, farthest: float) -> float:
         """Distance of an order's direction from the pupil's within which it returns, as `PupilFits` says."""
