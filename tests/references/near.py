@@ -73,8 +73,10 @@ class Paths:
         """By rays from all of the one square to all of the other: `rays` has places s [N, 2] and v [N, 2] of those that
         it finds between about such places, and their paths [N]."""
         u = 2 * qmc.Halton(4, scramble=False).fast_forward(1).random(_RAYS + _CHECKED) - 1
-        s, v, path = rays(1.01 * reach * u[:, :2], centre + 1.01 * half * u[:, 2:])
-        if not np.isfinite(path).all():
+        wanted_s, wanted_v = 1.01 * reach * u[:, :2], centre + 1.01 * half * u[:, 2:]
+        s, v, path = rays(wanted_s, wanted_v)
+        missed = max(float(np.abs(s - wanted_s).max()) / reach, float(np.abs(v - wanted_v).max()) / half)
+        if not (np.isfinite(path).all() and missed <= _MISSED):
             raise TooLargeError("some rays from the stop do not get to all places")
         one, other = _terms()
         matrix = _products(s / reach)[:, one] * _products((v - centre) / half)[:, other]
