@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from tapetum.bench import Scene
 from tapetum.bench.load import scene_from_dict
@@ -114,7 +117,7 @@ def test_the_engine_agrees_at_a_wide_aperture(degrees: float, validated: Any) ->
     """6 mm f/4 focused at 0.12 m, 6 Fresnel zones out of focus. Its rim is sharp in a plane that leans: taken as head
     on the picture at 2° was off by 3.2 times what is stated."""
     target = prime("compact-6mm-f1.9", 4, 0.12, degrees)
-    error = over_the_stated_error(seen_from(1.0, target, 5.2e-5), Effort(0.8, 1.2))
+    error = over_the_stated_error(seen_from(1.0, target, 5.2e-5), Effort(1.0, 1.2))
     what = f"a traced lens through the probe's aperture, 6 mm f/4, x_d = 0.12 m, {degrees:g}°"
     validated(SECTION, what, error, 1.0, "sums on rays' paths", "of the error stated")
 
@@ -124,8 +127,26 @@ def test_the_engine_agrees_where_a_rim_has_many_depths(validated: Any) -> None:
     """12 mm f/4 focused at 0.2 m. Light of the rim returns by the lens's axis, 0.3 mm beside the spot: the judge takes
     a wide window."""
     scene = seen_from(1.0, prime("cmount-12mm-f1.4", 4, 0.2, 1.5, focal_length=0.012), 5.2e-5)
-    error = over_the_stated_error(scene, Effort(0.75, 1.2))
+    error = over_the_stated_error(scene, Effort(0.85, 1.0))
     what = "a traced lens through the probe's aperture, 12 mm f/4, x_d = 0.2 m, 1.5°"
+    validated(SECTION, what, error, 1.0, "sums on rays' paths", "of the error stated")
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="which of a rim's depths counts is open for zooms: docs/conventions.md")
+def test_the_engine_agrees_behind_a_zooms_tele_end(tmp_path: Path, validated: Any) -> None:
+    """The zoom's tele end as a prime of 20 mm f/8, focused at 0.25 m: 0.03 of the peak off where 0.01 are stated."""
+    zoom = yaml.safe_load((resources.files("tapetum.bench") / "lenses" / "zoom-18-140mm.yaml").read_text())
+    tele = next(state for state in zoom.pop("states") if state["name"] == "tele")
+    for value in ("thickness", "semi_diameter"):
+        for surface, own in tele.pop(value).items():
+            zoom["surfaces"][surface][value] = own
+    file = tmp_path / "tele.yaml"
+    file.write_text(yaml.safe_dump({**zoom, "name": "tele", "states": [tele], "focus": "unit"}))
+    scene = seen_from(1.0, prime(str(file), 8, 0.25, 0.0, focal_length=0.02), 5.2e-5)
+    scene = replace(scene, sampling=replace(scene.sampling, accuracy=0.012))
+    error = over_the_stated_error(scene, Effort(1.05, 2.0))
+    what = "a zoom's tele end as 20 mm f/8 through the probe's aperture, x_d = 0.25 m, 0°"
     validated(SECTION, what, error, 1.0, "sums on rays' paths", "of the error stated")
 
 
@@ -145,7 +166,7 @@ def test_a_probe_that_most_rays_miss_sees_the_light_of_the_rim(radius: float, de
     scene = seen_from(1.0, prime("cmount-12mm-f1.4", 5.6, 0.15, degrees, focal_length=0.012), 5.2e-5)
     lens = replace(scene.probe.lens, aperture_radius=radius)
     scene = replace(scene, probe=replace(scene.probe, lens=lens))
-    error = over_the_stated_error(scene, Effort(0.8, 1.2))
+    error = over_the_stated_error(scene, Effort(1.0, 1.2))
     what = f"light far out of focus through an aperture of {1e3 * radius:g} mm, 12 mm f/5.6, x_d = 0.15 m, {degrees:g}°"
     validated(SECTION, what, error, 1.0, "sums on rays' paths", "of the error stated")
 
