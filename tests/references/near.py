@@ -369,7 +369,7 @@ class _Between:
                 break
         else:
             raise TooLargeError("paths vary too much over the spot")
-        # Neighbouring knots have nearly the same exponentials: what is left of a mode is its part of all of them.
+        # Neighbouring knots have nearly the same exponentials, so that few combinations of them hold almost all.
         parts, modes = np.linalg.eigh(of_knots.conj().T @ of_knots / len(some))
         modes = modes[:, np.cumsum(parts) > _FAINT**2]
         if 2 * modes.shape[1] * len(v) * len(y) * (len(x) + len(u)) > _MOST_PRODUCTS:
@@ -378,12 +378,12 @@ class _Between:
             )
         of_stop = np.stack([(rest(_grid(x, one[None]), knots) @ modes).T for one in y], 1)
         by_u, by_v = (np.stack(interpolation(float(one.min()), float(one.max()), count, one)[1]) for one in (u, v))
-        shares = by_v.T @ modes.conj().T.reshape(-1, count, count) @ by_u
+        of_modes = by_v.T @ modes.conj().T.reshape(-1, count, count) @ by_u
         across, down = (
             phasor(k * slope * np.outer(places_of_stop, of_spot - mid))
             for slope, places_of_stop, of_spot, mid in zip(slopes, (x, y), (u, v), centre, strict=True)
         )
-        return _Between(of_stop, shares, across, down, phasor(k * own).reshape(len(v), len(u)))
+        return _Between(of_stop, of_modes, across, down, phasor(k * own).reshape(len(v), len(u)))
 
     def there(self, field: Complex) -> Complex:
         """At the others [v, u] of a field [y, x] over the stop."""
@@ -412,16 +412,16 @@ def _smooth(value: Callable[[Real], Real], x: Real, y: Real, few: int = _FEW) ->
     return np.stack(by_y, 1) @ values.reshape(*values.shape[:-1], few, few) @ np.stack(by_x)
 
 
-def _slopes_by_v(paths: Paths, e: Real, *, from_mean: bool = True) -> Real:
+def _slopes_by_v(paths: Paths, s: Real, *, from_mean: bool = True) -> Real:
     """∂W/∂v at the middle of the spot, less their mean, [N, 2]."""
     g = _STEP * paths.half
-    after, before = ([paths.at(e, paths.centre + sign * g * one[None])[:, 0] for one in np.eye(2)] for sign in (1, -1))
+    after, before = ([paths.at(s, paths.centre + sign * g * one[None])[:, 0] for one in np.eye(2)] for sign in (1, -1))
     slopes = (np.stack(after, 1) - np.stack(before, 1)) / (2 * g)
     return slopes - slopes.mean(0) if from_mean else slopes
 
 
 def _steepest(path: Real, edge: Real) -> float:
-    """Largest change of paths [..., N] along a pupil's edge and across it, roughly, less their mean slope."""
+    """Largest change of paths [..., N] along the stop's edge and across it, roughly, less their mean slope."""
     wide = 2 * float(np.abs(edge).max())
     flat = path - path.mean(-1, keepdims=True)
     opposite = np.abs(flat - np.roll(flat[..., :-1], len(edge) // 2, -1).take(range(len(edge)), -1, mode="wrap"))

@@ -51,9 +51,9 @@ def irradiance_difference(field: torch.Tensor, like: torch.Tensor) -> float:
 @pytest.mark.parametrize(
     ("case", "degrees", "samples", "tolerance"),
     [
-        (PHONE, 0.0, (34, 104), 3e-3),
-        (PHONE, 3.0, (34, 104), 1e-3),
-        (Case("phone-b", 4.0, f_number=4.0), 2.0, (40, 130), 5e-3),
+        (PHONE, 0.0, (50, 150), 3e-3),
+        (PHONE, 3.0, (50, 150), 1e-3),
+        (Case("phone-b", 4.0, f_number=4.0), 2.0, (58, 190), 5e-3),
     ],
     ids=str,
 )
@@ -65,9 +65,10 @@ def test_fields_against_sums_over_rays(
     output = picture(case)
     # What is compared is the passes' formulas, at samples that the sums can afford.
     one = planned(case, output, 0.1).passes[0]
-    half = 2 * one.grids.half_width
+    # The sums leave out what lies beyond their window, which the pass adds: theirs is wider.
+    half = 3 * one.grids.half_width
     want = huygens(
-        focused, degrees, half_width=half, sensor=int(2.3 * one.grids.sensor), radial=samples[0], around=samples[1]
+        focused, degrees, half_width=half, sensor=int(3.5 * one.grids.sensor), radial=samples[0], around=samples[1]
     ).image(output)
     ours = finer(one, output, 1.4).field(along_y(degrees))[0]
     what = f"field, {case}, {degrees:g}°"
