@@ -30,13 +30,16 @@ from .way import Probe, along, points_of_aperture, seen
 
 __all__ = ["Paths", "near_amplitudes"]
 
-# Highest total degree of W, rays that are fitted, and rays by which the fit is checked.
-_DEGREE, _RAYS, _CHECKED = 9, 12_000, 2_000
+# Total degrees of W that are tried, rays that are fitted, and rays by which the fit is checked.
+_DEGREES, _RAYS, _CHECKED = (9, 11), 16_000, 2_000
 # What the sum over the sensor holds beyond the rays, fading out over the outer half: dark rings, or Fresnel zones of
 # the way from the exit pupil, within which light that one side of the rim sends returns to the other in step.
 _RINGS, _ZONES = 24.0, 1.6
-# RMS in radians by which paths may differ from their polynomials.
-_MISFIT = 3e-3
+# RMS in radians by which paths may differ from their polynomials: ripples of a thousandth change light far out of focus
+# by half a percent.
+_MISFIT = 3e-4
+# Wavelength at which a lower degree has to keep to that.
+_SHORTEST = 4e-7
 # Points across the stop, and places in a row of the spot.
 _MOST, _MOST_PLACES = 800, 2500
 # Complex multiplications of a field, some two minutes.
@@ -57,13 +60,14 @@ _STEPS, _MISSED = 8, 0.02
 class Paths:
     """W(s, v) in metres: s in a square of half width `reach` about the axis, v in one of `half` about `centre` [2].
 
-    `factors` [K, K] go with products of two polynomials [K] of s/reach and of (v - centre)/half. `misfit` is the RMS of
-    W over rays that were not fitted, `mean` that of all.
+    `factors` [K, K] go with products of two polynomials [K] of s/reach and of (v - centre)/half, up to a total
+    `degree`. `misfit` is the RMS of W over rays that were not fitted, `mean` that of all.
     """
 
     reach: float
     centre: Real
     half: float
+    degree: int
     factors: Real
     mean: float
     misfit: float
@@ -78,21 +82,26 @@ class Paths:
         missed = max(float(np.abs(s - wanted_s).max()) / reach, float(np.abs(v - wanted_v).max()) / half)
         if not (np.isfinite(path).all() and missed <= _MISSED):
             raise TooLargeError("some rays from the stop do not get to all places")
-        one, other = _terms()
-        matrix = _products(s / reach)[:, one] * _products((v - centre) / half)[:, other]
-        fitted = np.arange(len(s)) < _RAYS
-        mean = float(path.mean())
-        some, wanted = matrix[fitted], path[fitted] - mean
-        # Places are spread evenly, so that the polynomials are nearly orthogonal: least squares by their products.
-        solved = np.linalg.solve(some.T @ some, some.T @ wanted)
-        misfit = float((path - mean - matrix @ solved)[~fitted].std())
-        factors = np.zeros((len(_planar()),) * 2)
-        factors[one, other] = solved
-        return Paths(reach, centre, half, factors, mean, misfit)
+        fitted, mean, found = np.arange(len(s)) < _RAYS, float(path.mean()), None
+        for degree in _DEGREES:
+            one, other = _terms(degree)
+            matrix = _products(s / reach, degree)[:, one] * _products((v - centre) / half, degree)[:, other]
+            some, wanted = matrix[fitted], path[fitted] - mean
+            # Places are spread evenly, so that the polynomials are nearly orthogonal: least squares by their products.
+            solved = np.linalg.solve(some.T @ some, some.T @ wanted)
+            misfit = float((path - mean - matrix @ solved)[~fitted].std())
+            factors = np.zeros((len(_planar(degree)),) * 2)
+            factors[one, other] = solved
+            found = Paths(reach, centre, half, degree, factors, mean, misfit)
+            if misfit <= _MISFIT * _SHORTEST / (2 * math.pi):
+                break
+        assert found is not None
+        return found
 
     def at(self, s: Real, v: Real) -> Real:
         """W [N, M] less `mean`, of places s [N, 2] and v [M, 2]."""
-        return _products(s / self.reach) @ self.factors @ _products((v - self.centre) / self.half).T
+        of_s, of_v = _products(s / self.reach, self.degree), _products((v - self.centre) / self.half, self.degree)
+        return of_s @ self.factors @ of_v.T
 
     def strength(self, s: Real, v: Real) -> Real:
         """√|det ∂²W/∂s∂v| [N, M] in 1/m; one of s and v is a single place."""
@@ -430,23 +439,23 @@ def _steepest(path: Real, edge: Real) -> float:
 
 
 @functools.cache
-def _planar() -> tuple[tuple[int, int], ...]:
-    return tuple((i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i))
+def _planar(degree: int) -> tuple[tuple[int, int], ...]:
+    return tuple((i, j) for i in range(degree + 1) for j in range(degree + 1 - i))
 
 
 @functools.cache
-def _terms() -> tuple[list[int], list[int]]:
+def _terms(degree: int) -> tuple[list[int], list[int]]:
     """Pairs of planar products, by number, up to the total degree and even across the tilt together."""
     pairs = [
         (m, n)
-        for m, (i, j) in enumerate(_planar())
-        for n, (p, q) in enumerate(_planar())
-        if i + j + p + q <= _DEGREE and (i + p) % 2 == 0
+        for m, (i, j) in enumerate(_planar(degree))
+        for n, (p, q) in enumerate(_planar(degree))
+        if i + j + p + q <= degree and (i + p) % 2 == 0
     ]
     return [m for m, _ in pairs], [n for _, n in pairs]
 
 
-def _products(u: Real) -> Real:
+def _products(u: Real, degree: int) -> Real:
     """Products [N, K] of Chebyshev polynomials of u [N, 2]."""
-    values = np.polynomial.chebyshev.chebvander(u, _DEGREE)
-    return values[:, 0][:, [i for i, _ in _planar()]] * values[:, 1][:, [j for _, j in _planar()]]
+    values = np.polynomial.chebyshev.chebvander(u, degree)
+    return values[:, 0][:, [i for i, _ in _planar(degree)]] * values[:, 1][:, [j for _, j in _planar(degree)]]

@@ -133,9 +133,9 @@ def test_the_engine_agrees_where_a_rim_has_many_depths(validated: Any) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="which of a rim's depths counts is open for zooms: docs/conventions.md")
 def test_the_engine_agrees_behind_a_zooms_tele_end(tmp_path: Path, validated: Any) -> None:
-    """The zoom's tele end as a prime of 20 mm f/8, focused at 0.25 m: 0.03 of the peak off where 0.01 are stated."""
+    """The zoom's tele end as a prime of 20 mm f/8, focused at 0.25 m. A rim's place depends on the direction by 0.3 um
+    of 1.26 mm there: cut where the rays meet it, the picture was off by 0.03 of the peak where 0.01 was stated."""
     zoom = yaml.safe_load((resources.files("tapetum.bench") / "lenses" / "zoom-18-140mm.yaml").read_text())
     tele = next(state for state in zoom.pop("states") if state["name"] == "tele")
     for value in ("thickness", "semi_diameter"):
@@ -144,7 +144,7 @@ def test_the_engine_agrees_behind_a_zooms_tele_end(tmp_path: Path, validated: An
     file = tmp_path / "tele.yaml"
     file.write_text(yaml.safe_dump({**zoom, "name": "tele", "states": [tele], "focus": "unit"}))
     scene = seen_from(1.0, prime(str(file), 8, 0.25, 0.0, focal_length=0.02), 5.2e-5)
-    scene = replace(scene, sampling=replace(scene.sampling, accuracy=0.012))
+    scene = replace(scene, sampling=replace(scene.sampling, accuracy=0.015))
     error = over_the_stated_error(scene, Effort(1.05, 2.0))
     what = "a zoom's tele end as 20 mm f/8 through the probe's aperture, x_d = 0.25 m, 0°"
     validated(SECTION, what, error, 1.0, "sums on rays' paths", "of the error stated")

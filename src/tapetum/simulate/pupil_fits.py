@@ -40,6 +40,7 @@ __all__ = [
     "reach_of_rays",
     "rounded_up",
     "values_at",
+    "with_heights",
 ]
 
 # Degrees of the polynomials: a phase needs many, an edge must not oscillate between its rays.
@@ -257,6 +258,19 @@ def narrowed(fits: PupilFits, focused: FocusedLens, nodes: TiltNodes, curvature:
         float(square.max().sqrt()),
         (float((at_nodes @ entering.half).max()), fits.aperture[1]),
     )
+
+
+def with_heights(fit: Fit, nodes: TiltNodes, places: torch.Tensor, near: torch.Tensor, more: torch.Tensor) -> Fit:
+    """`PupilFits.entering` with `more` [T, K, N] added to its K heights at places [T, N, 2], of those that are near."""
+    tilt = nodes.terms(nodes.sines)
+    u = (places - (tilt @ fit.centre)[:, None]) / (tilt @ fit.half)[:, None]
+    used = near & (u.abs() <= _FITTED).all(-1)
+    terms = _terms(fit.degrees[0], 0)
+    some = torch.tensor([i + j <= SMOOTH_DEGREE for i, j in terms])
+    solved = least_squares(basis(torch.where(used[..., None], u, 0.0), terms)[..., some], more.mT, used)
+    even = fit.even.clone()
+    even[-more.shape[1] :, :, some] += nodes.coefficients(solved).permute(2, 0, 1)
+    return replace(fit, even=even)
 
 
 def part_of(fits: PupilFits, leaving: Fit, nodes: TiltNodes, landings: torch.Tensor, some: torch.Tensor) -> Part:

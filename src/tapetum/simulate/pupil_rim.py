@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -19,7 +20,7 @@ from tapetum.optics.focus import FocusedLens
 from tapetum.optics.rays import Rays, to_plane, trace
 
 __all__ = ["anywhere", "exit_plane", "leaving_by", "pupil_depth", "rim_bend", "rim_depths", "rim_plane"]
-__all__ += ["sharp_plane"]
+__all__ += ["seen_heights", "sharp_plane"]
 
 # Rays that find the rim, and how far at most its image is sought behind the entrance pupil, in radii of it.
 _RIM_RAYS, _DEEPEST = 65, 2.0
@@ -31,6 +32,8 @@ _LITTLE_TILT, _STEPS = 1e-3, 5
 _LEANING_TILT, _STEEPEST_LEAN = 0.02, 100.0
 # Least and largest curvature of the rim's light over that of the light in the pupil's middle.
 _RIM_CURVATURES = (0.2, 3.0)
+# Least squared cosine of a direction.
+_GRAZING = 1e-9
 # Steps of derivatives of rays' heights: in radii of the entrance pupil, and of direction cosines.
 _BESIDE, _TURNED = 1e-4, 1e-4
 
@@ -104,15 +107,56 @@ def leaving_by(
     return e, way + more + along
 
 
+def seen_heights(
+    focused: FocusedLens,
+    sines: torch.Tensor,
+    e: torch.Tensor,
+    turned: torch.Tensor,
+    own: torch.Tensor,
+    surfaces: Sequence[int],
+) -> torch.Tensor:
+    """Squared heights over the rims of surfaces that cut what rays' light sends along the tilt, [F, N, K].
+
+    A rim that is not sharp in the plane of `leaving_by` has another place there for each direction. It cuts the rays'
+    light where they meet it, and what it sends along the tilt seems to come from where light along the tilt meets it.
+    The wave of a place of the rim has the slope q where light of the direction q crosses the plane, at x(q). Over the
+    phase of the rays' light there, that of slope Q at x(Q), it has Q x(Q) - ∫ q dx less by then: what the rim sends is
+    that of an edge at the mean of x over all directions from the tilt's to the ray's. So is the mean of heights, which
+    Radau's rule of two points has from the ray itself and the direction at a third of its turn.
+
+    Parameters
+    ----------
+    focused, sines
+        The lens, and those of the tilts, [F].
+    e, turned
+        Places [F, N, 2] by which rays leave, and their direction cosines less those of exact retro-reflection.
+    own
+        [F, N, K] the rays' own heights at the surfaces.
+    surfaces
+        Numbers of K surfaces.
+    """
+    lean, deeper = (one[:, None] for one in sharp_plane(focused, sines))
+    slope = (sines / torch.sqrt(1 - sines**2))[:, None]
+    # Where light along the tilt crosses the plane.
+    behind = (deeper + lean * e[..., 1]) / (1 - lean * slope)
+    start = torch.cat([e, behind[..., None]], -1) + rim_plane(focused, sines)[:, None]
+    start[..., 1] += behind * slope
+    way = torch.stack([torch.zeros_like(sines), sines], -1)[:, None] - turned / 3
+    way = torch.cat([way, torch.sqrt((1 - (way**2).sum(-1, keepdim=True)).clamp_min(_GRAZING))], -1)
+    third = trace(focused.lens, start, way).height[..., surfaces]
+    return torch.where(torch.isfinite(third), (own + 3 * third) / 4, own)
+
+
 def rim_depths(
     focused: FocusedLens, places: torch.Tensor, directions: torch.Tensor, surfaces: torch.Tensor
 ) -> torch.Tensor:
     """How far behind the plane across the axis that e is counted in the rims of surfaces are sharp, in metres, [N].
 
-    For each of the rays through `places` [N, 2] of the paraxial entrance pupil with direction cosines `directions`
-    [N, 2] across the axis: for the rim of one of the `surfaces` [N], near which it passes.
+    For each of the rays with direction cosines `directions` [N, 2] across the axis that meets the rim of one of the
+    `surfaces` [N], nearest to `places` [N, 2] of the paraxial entrance pupil.
     """
-    return _depths(focused, places, directions, surfaces) - pupil_depth(focused)
+    _, nearest = _depths(focused, places, directions, surfaces)
+    return _depths(focused, nearest, directions, surfaces)[0] - pupil_depth(focused)
 
 
 @dataclass(frozen=True)
@@ -167,7 +211,7 @@ def _rim(lens: FocusedLens) -> _Rim:
     # Above, below, beside, and head on.
     ends = float(at[0, 0]) * torch.tensor([[0.0, 1.0], [0.0, -1.0], [1.0, 0.0], [1.0, 0.0]], dtype=torch.float64)
     tilts = torch.tensor([[0.0, _LEANING_TILT]] * 3 + [[0.0, 0.0]], dtype=torch.float64)
-    top, bottom, side, straight = map(float, _depths(lens, ends, tilts, torch.full((4,), rim)))
+    top, bottom, side, straight = map(float, _depths(lens, ends, tilts, torch.full((4,), rim))[0])
     lean = (top - bottom) / (2 * float(at[0, 0]) * _LEANING_TILT)
     deeper = ((top + bottom) / 4 + side / 2 - straight) / _LEANING_TILT**2
     deepest = _DEEPEST * lens.entrance_radius
@@ -178,8 +222,9 @@ def _rim(lens: FocusedLens) -> _Rim:
 
 def _depths(
     focused: FocusedLens, places: torch.Tensor, directions: torch.Tensor, surfaces: torch.Tensor
-) -> torch.Tensor:
-    """As `rim_depths`, behind the paraxial entrance pupil."""
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Depths [N] as `rim_depths`, for the rays through these places and behind the paraxial entrance pupil; and the
+    nearest places [N, 2] of rays that meet the rims."""
     step = _BESIDE * focused.entrance_radius
     # Each ray, and four beside it or turned.
     moves = torch.zeros(5, 2, 2, dtype=torch.float64)
@@ -195,4 +240,5 @@ def _depths(
     along = directions / (directions**2).sum(-1, keepdim=True).clamp_min(1e-300).sqrt()
     part = (along.mT * turned).sum(0)
     turned = cosine * (turned - (1 - cosine**2) * part * along.mT)
-    return (turned * beside).sum(0) / (beside**2).sum(0)
+    square = (beside**2).sum(0)
+    return (turned * beside).sum(0) / square, places + ((1 - height[0]) / square * beside).mT

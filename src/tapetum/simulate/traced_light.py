@@ -293,7 +293,7 @@ def followed(scene: TracedScene, accuracy: float, orders: Sequence[Order] = (), 
     # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for
     # tilts that return enough.
     lit = float(sines[told.overlap >= _FADING * told.overlap.max()].max())
-    rims = _of_rims(scene, sines[sines <= lit], accepted) if by_rays else 0.0
+    rims = _of_rims(scene, pupils, sines[sines <= lit], accepted) if by_rays else 0.0
     unsure += rims
     coarser = (
         f"ask for an accuracy of {accuracy_above(unsure):g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
@@ -333,12 +333,14 @@ def without_rim_light(scene: TracedScene, angle: float) -> str:
     return ", or leave out what the rim sends with sampling.rim_light=false"
 
 
-def _of_rims(scene: TracedScene, sines: torch.Tensor, accepted: float | None) -> float:
+def _of_rims(scene: TracedScene, pupils: PupilFits, sines: torch.Tensor, accepted: float | None) -> float:
     """The `rim_error` of light up to the angle `accepted`."""
     aperture = scene.path.aperture
     assert aperture is not None
     return rim_error(
         scene.focused,
+        scene.fits,
+        pupils,
         sines,
         wavelength=scene.wavelength,
         distance=float(aperture.distance),

@@ -614,7 +614,7 @@ def _grids(
     pupil = max(effort.pupil, math.ceil(effort.finer * (turns + 2 * effort.rings)))
     # Copies of the picture must lie beside it: the sum of the angles seen and sent. The rim's light takes more, and
     # efforts must differ in it for their comparison to see what it errs by.
-    leaving = max(effort.pupil, math.ceil(1.05 * effort.finer**1.5 * 2 * reach * angle / wavelength))
+    leaving = max(effort.pupil, math.ceil(1.1 * effort.finer**1.5 * 2 * reach * angle / wavelength))
     if pupil > _MOST_PUPIL or sensor > _MOST_SENSOR or leaving > _MOST_PUPIL:
         of_mask = "" if mask is None else f"give the mask a coarser pitch than {mask.finest * 1e6:.3g} um, "
         raise InputError(

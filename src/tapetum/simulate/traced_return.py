@@ -29,8 +29,9 @@ from tapetum.simulate.pupil_fits import (
     narrowed,
     part_of,
     values_at,
+    with_heights,
 )
-from tapetum.simulate.pupil_rim import leaving_by, rim_depths, sharp_plane
+from tapetum.simulate.pupil_rim import leaving_by, rim_depths, seen_heights, sharp_plane
 from tapetum.simulate.traced_bundle import (
     BEYOND,
     Bundle,
@@ -55,6 +56,10 @@ _COARSE, _NARROWINGS = 25, 2
 _RETURN_DEGREE = 16
 # Where few rays return, the RMS of their paths varies by up to a quarter between the tilts at which it is checked.
 _UNCHECKED = 1.25
+# Share of the phases by which edges are moved that is stated.
+_LEFT_OF_MOVED = 0.16
+# Part of the widest turn of a field's rays below which a turn moves no edge.
+_LITTLE_TURN = 0.05
 # How near the next ray is to a place among rays, over the distance between them.
 _WITHIN = 0.75
 # Squared height over a rim's beyond which rays do not represent the light inside.
@@ -180,6 +185,8 @@ def check_return(
 
 def rim_error(
     focused: FocusedLens,
+    fits: PupilFits,
+    pupils: PupilFits,
     sines: torch.Tensor,
     *,
     wavelength: float,
@@ -188,19 +195,22 @@ def rim_error(
     curvature: float = 0.0,
     accepted: float | None = None,
 ) -> float:
-    """What a picture's peak may be off by because rims that cut the leaving light are sharp elsewhere, RMS.
+    """What a picture's peak may be off by because rims are not sharp in the plane that cuts the light, RMS.
 
-    Pupils made by `corrected` cut the light in the plane of `leaving_by`. What a rim d before or behind it sends under
-    the angle q against the ray there is off by k d q²/2. Half of that counts: where it was measured, a change of the
-    phase of all that the rim sends changed the peak by half of it (6 mm f/4, 2°) to all of it (head on). A probe that
-    is focused at infinity has the light along the tilt in the middle of its picture, where rims all around send theirs:
-    what leaves opposite its aperture goes straight, and the rest to its edge. For that rest the plane's lean is left
-    out, too.
+    `corrected` pupils have the edges by which what a rim sends of the light has the right phase. A rim d before or
+    behind the plane of `leaving_by` moves them by that of k d q²/2 for light that leaves under the angle q against the
+    ray, by as much for light that enters, and by the excess of the rays' paths there. Of these phases 0.16 are stated:
+    where a judge saw it, at most 0.15 were left (20 mm f/8, head on). A probe that is focused at infinity has the light
+    along the tilt in the middle of its picture, where rims all around send theirs: what leaves opposite its aperture
+    goes straight, and the rest to its edge. For that rest what the plane's lean does to e is left out, and stated
+    whole.
 
     Parameters
     ----------
     focused, sines, curvature
         As for `trace_return`.
+    fits, pupils
+        The lens's pupils, and those that `corrected` made of them.
     wavelength, distance, probe_radius
         Of the light, to the probe, and of its aperture, in metres.
     accepted
@@ -221,10 +231,19 @@ def rim_error(
     lean, deeper = sharp_plane(focused, sines)
     plane = deeper[field] + lean[field] * e[:, 1]
     missing = (1 - probe_radius / length(e)).clamp_min(0)[:, None] * e / distance
-    across, along = ((one**2).sum(-1) for one in (missing + turned, missing))
-    phase = torch.nan_to_num(math.pi / wavelength * ((depth - plane) * across + plane * along))
+    turn = length(missing + turned)
+    moved = (depth - plane).abs() * turn**2
+    if accepted is None:
+
+        def excess(e: torch.Tensor) -> torch.Tensor:
+            of_pupils, of_fits = (values_at(one.leaving, one.nodes.terms(sines), e)[0][:, 0] for one in (pupils, fits))
+            return of_pupils - of_fits
+
+        moved = moved + (excess(back.bundle.e) - excess(back.e))[field, ray].abs()
+    path = _LEFT_OF_MOVED * moved + plane.abs() * length(missing) * turn
+    phase = torch.nan_to_num(2 * math.pi / wavelength * path)
     square = torch.zeros(len(sines), dtype=torch.float64).index_add(0, field, phase**2)
-    return float((square / edge.sum(-1).clamp_min(1)).sqrt().max()) / 2
+    return float((square / edge.sum(-1).clamp_min(1)).sqrt().max())
 
 
 def _spread(path: torch.Tensor, passing: torch.Tensor) -> torch.Tensor:
@@ -285,11 +304,13 @@ def corrected(
     part = None
     if accepted is None:
         leaving = _whole_pupil(focused, fits, nodes, back, rays, more)
+        entering = _entering_rims(focused, fits, inwards.entering, nodes, back, rays, more, curvature)
+        inwards = replace(inwards, entering=entering)
         aperture = fits.aperture[1]
         wanted = values_at(fits.leaving, tilt, back.e)[0][:, 0] + more
         misfit = float(_spread(values_at(leaving, nodes.terms(nodes.sines), back.e)[0][:, 0] - wanted, passing).max())
     else:
-        leaving, misfit = _part(fits, nodes, back, rays, more)
+        leaving, misfit = _part(focused, fits, nodes, back, rays, more)
         aperture = float(torch.where(passing, length(back.e), torch.zeros_like(more)).max())
         y0 = torch.stack([torch.zeros_like(middle), middle], -1)[:, None]
         part = part_of(fits, leaving, nodes, back.mirror - y0, passing)
@@ -311,8 +332,8 @@ def _whole_pupil(
     middle, tilt = back.bundle.middle, nodes.terms(nodes.sines)
     leaving = trace_bundle(focused, nodes.sines, middle=middle)
     usual, _ = fit_leaving(nodes, leaving)
-    rims = [back.bundle.height.shape[-1] + i for i in limiting_surfaces(leaving)]
-    higher = back.height[..., rims].mT - values_at(usual, tilt, back.e)[0][:, 3:]
+    heights = _seen(focused, back, nodes.sines, limiting_surfaces(leaving))
+    higher = heights.mT - values_at(usual, tilt, back.e)[0][:, 3:]
     found, _ = fit_functions(
         nodes, back.e, rays, [(more, _RETURN_DEGREE), *((one, SMOOTH_DEGREE) for one in higher.unbind(1))]
     )
@@ -325,6 +346,53 @@ def _whole_pupil(
     farther = ((leaving.e - ray) * slope).sum(-1)
     added[:, 0] += torch.where(beyond, farther, torch.zeros_like(farther))
     return fit_leaving(nodes, leaving, added, _RETURN_DEGREE)[0]
+
+
+def _entering_rims(
+    focused: FocusedLens,
+    fits: PupilFits,
+    entering: Fit,
+    nodes: TiltNodes,
+    back: Returned,
+    rays: _Rays,
+    more: torch.Tensor,
+    curvature: float,
+) -> Fit:
+    """The pupil that light enters by, with the edges by which what rims send of that light has the right phase.
+
+    By reciprocity it is what rims send of the light that leaves, on the reverse way: from the place of a rim where a
+    ray leaves to the place where that ray entered. So the edges lie where `seen_heights` has them for light that
+    leaves. And this light has the excess of the paths of rays that leave where it leaves, for that of those that leave
+    where it was sent: the difference, over the turn that the rim gives it, is how far the edge is moved besides.
+    """
+    bundle, tilt = back.bundle, nodes.terms(nodes.sines)
+    surfaces = limiting_surfaces(trace_bundle(focused, fits.nodes.sines, curvature=curvature))
+    if not surfaces:
+        return entering
+    smooth = [(one, SMOOTH_DEGREE) for one in _seen(focused, back, nodes.sines, surfaces).unbind(-1)]
+    leaving, _ = fit_functions(nodes, back.e, rays, [(more, _RETURN_DEGREE), *smooth])
+    coming, _ = fit_functions(nodes, bundle.e, bundle, [(bundle.height[..., i], SMOOTH_DEGREE) for i in surfaces])
+    step = 1e-3 * fits.aperture[1]
+    slopes = [
+        (values_at(leaving, tilt, back.e + way)[0] - values_at(leaving, tilt, back.e - way)[0])[:, 1:] / (2 * step)
+        for way in step * torch.eye(2, dtype=torch.float64)
+    ]
+    square = torch.where(rays.near, (back.turned**2).sum(-1), 0.0)[..., None]
+    turn = back.turned / (square + _LITTLE_TURN**2 * square.amax(1, keepdim=True))
+    excess = (values_at(leaving, tilt, bundle.e)[0] - values_at(leaving, tilt, back.e)[0])[:, :1]
+    aside = (torch.stack(slopes, -1) * turn[:, None]).sum(-1) * excess
+    higher = values_at(leaving, tilt, back.e)[0][:, 1:] + aside - values_at(coming, tilt, back.e)[0]
+    found, _ = fit_functions(nodes, back.e, rays, [(one, SMOOTH_DEGREE) for one in higher.unbind(1)])
+    number, beyond = _nearest(back.e, rays.near, bundle.e)
+    ray = back.e.gather(1, number[..., None].expand(-1, -1, 2))
+    added = values_at(found, tilt, torch.where(beyond[..., None], ray, bundle.e))[0]
+    return with_heights(entering, nodes, bundle.s, bundle.near, added)
+
+
+def _seen(focused: FocusedLens, back: Returned, sines: torch.Tensor, surfaces: list[int]) -> torch.Tensor:
+    """The `seen_heights` [F, N, K] of rays that returned."""
+    own = back.height[..., [back.bundle.height.shape[-1] + i for i in surfaces]]
+    return seen_heights(focused, sines, back.e, back.turned, own, surfaces)
 
 
 def _nearest(rays: torch.Tensor, chosen: torch.Tensor, places: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -355,10 +423,12 @@ def _excess_slope(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.
     return back.turned - torch.stack(grown, -1)
 
 
-def _part(fits: PupilFits, nodes: TiltNodes, back: Returned, rays: _Rays, more: torch.Tensor) -> tuple[Fit, float]:
+def _part(
+    focused: FocusedLens, fits: PupilFits, nodes: TiltNodes, back: Returned, rays: _Rays, more: torch.Tensor
+) -> tuple[Fit, float]:
     """The part of the pupil whose light reaches the picture, and the angles under which it leaves."""
     even, odd = values_at(fits.leaving, fits.nodes.terms(nodes.sines), back.e)
-    surfaces = back.bundle.height.shape[-1]
+    heights = _seen(focused, back, nodes.sines, limiting_surfaces(back.bundle))
     return fit_functions(
         nodes,
         back.e,
@@ -368,7 +438,7 @@ def _part(fits: PupilFits, nodes: TiltNodes, back: Returned, rays: _Rays, more: 
             (even[:, 1], MAP_DEGREE),
             (even[:, 2], SMOOTH_DEGREE),
             (back.turned[..., 1], SMOOTH_DEGREE),
-            *((back.height[..., surfaces + i], SMOOTH_DEGREE) for i in limiting_surfaces(back.bundle)),
+            *((one, SMOOTH_DEGREE) for one in heights.unbind(-1)),
         ],
         [(odd[:, 0], MAP_DEGREE), (back.turned[..., 0], SMOOTH_DEGREE)],
     )
