@@ -93,6 +93,9 @@ _FADE = 0.7
 # moved by this fraction of its width and height. Shares of a step's samples that are tried, the fewest first.
 _ALSO_TRIED = ((0.01, 0.02), (-0.2, 0.1), (0.98, 0.0), (0.3, -0.4))
 _MOVED, _SHARES = (0.3, -0.2), (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+# Angles of light that rays correct, on the way out, for which the rim's light has its samples: at twice the angle the
+# coarser efforts were off by 0.010 of the peak.
+_TURNED_BY_RAYS = 2.1
 # Pictures from which on the search for fewer samples pays: what it takes is saved by one to two hundred of them.
 _PAYS_FROM = 300
 # Share of the accuracy by which fewer samples may change a picture: tilts that are not tried may change by more.
@@ -361,7 +364,7 @@ def _made(
     if light.accepted is None:
         # Rays at the rim that miss the probe's aperture turn the rim's light from sample to sample: by no more than
         # the weights of the pupil's edge hold for (`edge_weights`).
-        sent = max(sent, 2 * angle)
+        sent = max(sent, (_TURNED_BY_RAYS if light.by_rays else 2) * angle)
     grids = _grids(light.fits, surface, effort, scene.wavelength, sent, scene.seen, focal_length, mask)
     return _on_grids(scene, light, surface, grids, mask)
 
@@ -614,7 +617,7 @@ def _grids(
     pupil = max(effort.pupil, math.ceil(effort.finer * (turns + 2 * effort.rings)))
     # Copies of the picture must lie beside it: the sum of the angles seen and sent. The rim's light takes more, and
     # efforts must differ in it for their comparison to see what it errs by.
-    leaving = max(effort.pupil, math.ceil(1.1 * effort.finer**1.5 * 2 * reach * angle / wavelength))
+    leaving = max(effort.pupil, math.ceil(1.05 * effort.finer**1.5 * 2 * reach * angle / wavelength))
     if pupil > _MOST_PUPIL or sensor > _MOST_SENSOR or leaving > _MOST_PUPIL:
         of_mask = "" if mask is None else f"give the mask a coarser pitch than {mask.finest * 1e6:.3g} um, "
         raise InputError(
