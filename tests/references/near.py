@@ -30,8 +30,8 @@ from .way import Probe, along, points_of_aperture, seen
 
 __all__ = ["Paths", "near_amplitudes"]
 
-# Total degrees of W that are tried, rays that are fitted, and rays by which the fit is checked.
-_DEGREES, _RAYS, _CHECKED = (9, 11), 16_000, 2_000
+# Total degrees of W: that which most lenses need, and the highest. Rays that are fitted, and by which that is checked.
+_USUAL_DEGREE, _DEGREE, _RAYS, _CHECKED = 9, 11, 16_000, 2_000
 # What the sum over the sensor holds beyond the rays, fading out over the outer half: dark rings, or Fresnel zones of
 # the way from the exit pupil, within which light that one side of the rim sends returns to the other in step.
 _RINGS, _ZONES = 24.0, 1.6
@@ -82,8 +82,9 @@ class Paths:
         missed = max(float(np.abs(s - wanted_s).max()) / reach, float(np.abs(v - wanted_v).max()) / half)
         if not (np.isfinite(path).all() and missed <= _MISSED):
             raise TooLargeError("some rays from the stop do not get to all places")
-        fitted, mean, found = np.arange(len(s)) < _RAYS, float(path.mean()), None
-        for degree in _DEGREES:
+        fitted, mean = np.arange(len(s)) < _RAYS, float(path.mean())
+
+        def of_degree(degree: int) -> Paths:
             one, other = _terms(degree)
             matrix = _products(s / reach, degree)[:, one] * _products((v - centre) / half, degree)[:, other]
             some, wanted = matrix[fitted], path[fitted] - mean
@@ -92,11 +93,10 @@ class Paths:
             misfit = float((path - mean - matrix @ solved)[~fitted].std())
             factors = np.zeros((len(_planar(degree)),) * 2)
             factors[one, other] = solved
-            found = Paths(reach, centre, half, degree, factors, mean, misfit)
-            if misfit <= _MISFIT * _SHORTEST / (2 * math.pi):
-                break
-        assert found is not None
-        return found
+            return Paths(reach, centre, half, degree, factors, mean, misfit)
+
+        found = of_degree(_USUAL_DEGREE)
+        return found if found.misfit <= _MISFIT * _SHORTEST / (2 * math.pi) else of_degree(_DEGREE)
 
     def at(self, s: Real, v: Real) -> Real:
         """W [N, M] less `mean`, of places s [N, 2] and v [M, 2]."""

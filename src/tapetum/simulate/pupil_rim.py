@@ -1,10 +1,12 @@
-"""The rim of a traced lens's pupil: the planes in which it is sharp, before the lens and behind it.
+"""The rim of a traced lens's pupil: the planes in which it is sharp, and where on them what it sends comes from.
 
 Rays through one place of the rim, under different directions, cross before the lens where the probe sees that place
 sharp, and behind the lens where the sensor sees it. On any other plane the rim's place depends on the direction of the
 light, which differs between what enters and what leaves. Head on the plane before the lens lies across the axis. Under
 a tilt it leans, in proportion to the tilt: by 0.04 a degree in compact-6mm-f1.9, and not at all where the stop stands
-before all surfaces. Another surface's rim, where it cuts the pupil, is sharp in a plane of its own.
+before all surfaces. Another surface's rim, where it cuts the pupil, is sharp in a plane of its own. And no plane holds
+for all directions: what a rim sends of light that it meets under one direction to another comes from between both
+places (`seen_heights`).
 """
 
 from __future__ import annotations
@@ -117,12 +119,12 @@ def seen_heights(
 ) -> torch.Tensor:
     """Squared heights over the rims of surfaces that cut what rays' light sends along the tilt, [F, N, K].
 
-    A rim that is not sharp in the plane of `leaving_by` has another place there for each direction. It cuts the rays'
-    light where they meet it, and what it sends along the tilt seems to come from where light along the tilt meets it.
-    The wave of a place of the rim has the slope q where light of the direction q crosses the plane, at x(q). Over the
-    phase of the rays' light there, that of slope Q at x(Q), it has Q x(Q) - ∫ q dx less by then: what the rim sends is
-    that of an edge at the mean of x over all directions from the tilt's to the ray's. So is the mean of heights, which
-    Radau's rule of two points has from the ray itself and the direction at a third of its turn.
+    A rim that is not sharp in the plane of `leaving_by` has another place there for each direction: rays meet it at one
+    place, light along the tilt sees it at another. The wave from a place of the rim has the slope q where light of the
+    direction q crosses the plane, at x(q). So what the rim sends along the tilt of light of the slope Q has the phase
+    of that light at x(Q), less ∫ q dx from x(Q) on: by parts it is that of an edge at the mean of x over the directions
+    from the tilt's to the ray's. Heights have the same mean. Radau's rule of two points takes it from the ray itself
+    and the direction at a third of its turn.
 
     Parameters
     ----------
