@@ -28,7 +28,7 @@ from tapetum.bench import Scene, scene_from_dict
 from tapetum.errors import InputError
 from tapetum.optics.sampling import aperture_samples
 from tapetum.simulate import Camera, DoublePass, expose, retroreflect
-from tapetum.simulate import camera as camera_module
+from tapetum.simulate import line as line_module
 from tapetum.simulate.light import directions, wavelengths
 from tapetum.simulate.radiometry import beam_radius
 from tapetum.simulate.round_pass import RoundPass
@@ -323,7 +323,7 @@ def limited(beams: int) -> Iterator[None]:
             raise TooSlowError
         return DoublePass(geometry, plan, *rest, **options)
 
-    with mock.patch.multiple(camera_module, RoundPass=round_pass, DoublePass=double_pass):
+    with mock.patch.multiple(line_module, RoundPass=round_pass, DoublePass=double_pass):
         yield
 
 

@@ -37,6 +37,7 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.radial import disc_transform
 from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.simulate.reflections import Scatterer
 from tapetum.simulate.round_picture import RoundPicture
 from tapetum.simulate.scattering import (
     AT_ONCE,
@@ -50,12 +51,14 @@ from tapetum.simulate.scattering import (
     transformed,
 )
 
-__all__ = ["DiffuseProfile", "corner", "diffuse_profile", "diffuse_return"]
+__all__ = ["DiffuseProfile", "ScatteredLight", "corner", "diffuse_profile", "diffuse_return"]
 
 # Samples along the radius of the target's pupil, and of the probe's, in the factor of the probe's aperture.
 _FINEST, _STEPS = 48, 500
 # Samples a side of a pixel larger than the image's detail.
 _MOST_PARTS = 64
+# Steps in which the reach of the tables of `ScatteredLight` grows.
+_FARTHER = 1.2
 
 
 def diffuse_return(
@@ -281,3 +284,55 @@ def _smooth_radiance(plane: ScatteringPlane, fine: float, reach: float) -> Cubic
     slopes = np.arange(math.ceil(reach / step) + 3) * step
     values = transformed(spot, apart, weights, slopes, k)
     return CubicSpline(slopes, np.maximum(values, values[0] * 1e-12 if values[0] > 0 else 0.0))
+
+
+class ScatteredLight:
+    """Light of a scene's scattering planes about any places, by profiles that are computed once.
+
+    Parameters
+    ----------
+    output, pitch
+        Samples of the probe's sensor, and the width of its pixels in metres.
+    distance, probe_radius
+        As for `diffuse_return`.
+    beam_radius
+        Of the light at the target, in metres.
+    dtype
+        Of the pictures.
+    """
+
+    def __init__(
+        self, output: Grid, pitch: float, distance: float, probe_radius: float, beam_radius: float, dtype: torch.dtype
+    ) -> None:
+        self._output, self._near, self._dtype = output, corner(output) + pitch, dtype
+        self._distance, self._probe_radius, self._beam_radius = distance, probe_radius, beam_radius
+        self._profiles: dict[tuple[float, Scatterer, int], DiffuseProfile] = {}
+
+    def __call__(self, geometry: DoublePassGeometry, scatterer: Scatterer, centres: torch.Tensor) -> torch.Tensor:
+        """Expected irradiance [B or 1, H, W] of a plane about centres [B, 2], for 1 W/m² at the target at no tilt."""
+        places = [(float(x), float(y)) for x, y in centres.detach().cpu()]
+        if len(set(places)) == 1:
+            places = places[:1]
+        return torch.stack(
+            [self._profile(geometry, scatterer, place).on(self._output, place, self._dtype) for place in places]
+        )
+
+    def _profile(
+        self, geometry: DoublePassGeometry, scatterer: Scatterer, place: tuple[float, float]
+    ) -> DiffuseProfile:
+        """The profile about a place; those about as far from the picture's corners share it."""
+        # Rounded up to a step, so that what is kept does not depend on which place came first.
+        steps = max(0, math.ceil(math.log(corner(self._output, place) / self._near) / math.log(_FARTHER)))
+        key = (geometry.wavelength, scatterer, steps)
+        if key not in self._profiles:
+            self._profiles[key] = diffuse_profile(
+                geometry,
+                self._distance,
+                self._probe_radius,
+                self._near * _FARTHER**steps,
+                albedo=scatterer.diffuse.albedo * scatterer.transmittance,
+                spread=scatterer.diffuse.spread,
+                image_distance=scatterer.image_distance,
+                lit_radius=min(geometry.radius, self._beam_radius),
+            )
+        return self._profiles[key]

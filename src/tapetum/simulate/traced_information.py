@@ -227,14 +227,9 @@ class _Steps:
 class _Camera(Camera):
     """A camera whose lens can be set to neighbouring values on the same samples."""
 
-    @property
-    def device(self) -> torch.device:
-        """Where it computes."""
-        return self._device
-
     def set_to(self, scene: Scene) -> _Camera:
         """Another focus or focal length."""
-        given: dict[str, Any] = {"accuracy": self._accuracy, "dtype": self._dtype, "device": self._device}
+        given: dict[str, Any] = {"accuracy": self.accuracy, **self._optics.where}
         return _Camera(scene, self._steepest, output=self.output, like=self, **given)
 
     def with_sites_moved(self, axis: int, by: float) -> _Camera:

@@ -241,9 +241,12 @@ def rim_error(
 
         moved = moved + (excess(back.bundle.e) - excess(back.e))[field, ray].abs()
     path = _LEFT_OF_MOVED * moved + plane.abs() * length(missing) * turn
-    phase = torch.nan_to_num(2 * math.pi / wavelength * path)
-    square = torch.zeros(len(sines), dtype=torch.float64).index_add(0, field, phase**2)
-    return float((square / edge.sum(-1).clamp_min(1)).sqrt().max())
+    square = (2 * math.pi / wavelength * path) ** 2
+    # A ray by which no depth is found counts neither way.
+    known = torch.isfinite(square)
+    total = torch.zeros(len(sines), dtype=torch.float64).index_add(0, field[known], square[known])
+    count = edge.sum(-1) - torch.bincount(field[~known], minlength=len(sines))
+    return float((total / count.clamp_min(1)).sqrt().max())
 
 
 def _spread(path: torch.Tensor, passing: torch.Tensor) -> torch.Tensor:
