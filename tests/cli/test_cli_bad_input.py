@@ -124,6 +124,45 @@ def test_track_nothing(run, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_detections_take_no_options_of_frames(run, tmp_path: Path) -> None:
+    frames = tmp_path / "frames"
+    frames.mkdir()
+    image = np.zeros((48, 64), np.uint8)
+    image[20:25, 30:35] = 200
+    for n in range(3):
+        cv2.imwrite(str(frames / f"{n}.png"), image)
+    kept = tmp_path / "d.csv"
+    assert run("track", frames, "-o", tmp_path / "t.csv", "--detections", kept).code == 0
+    out = tmp_path / "again.csv"
+    for extra in (["--min-snr", "1000"], ["--seconds", "0.1"], ["--ghost", "none.yaml"], ["--device", "bogus"]):
+        ran = run("track", kept, "-o", out, *extra)
+        assert ran.code == 2 and f"{kept}: holds detections, not frames: {extra[0]}" in ran.complaint
+    ran = run("track", kept, "-o", out, "--json")
+    assert ran.code == 0 and json.loads(ran.out)["rows"] == 3
+
+
+def test_a_video_of_an_unknown_kind(run, tmp_path: Path) -> None:
+    import av
+
+    video = tmp_path / "probe.avi"
+    with av.open(str(video), "w") as container:
+        stream = container.add_stream("mpeg4", rate=15)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for _ in range(3):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((48, 64, 3), np.uint8), format="rgb24")))
+        container.mux(stream.encode(None))
+    video.write_bytes(video.read_bytes().replace(b"FMP4", b"zzz1"))
+    ran = run("track", video, "-o", tmp_path / "t.csv")
+    assert ran.code == 2 and str(video) in ran.complaint and "cannot be decoded" in ran.complaint
+
+
+def test_an_address_is_no_path(run, tmp_path: Path) -> None:
+    """Its slashes were joined, so that no camera of a network could be tracked, and its password was printed."""
+    ran = run("track", "rtsp://user:secret@127.0.0.1:9/x", "-o", tmp_path / "t.csv")
+    assert ran.code == 2 and "rtsp://127.0.0.1:9/x: cannot be watched" in ran.complaint
+    assert "secret" not in ran.complaint
+
+
 def test_track_a_truncated_video(run, tmp_path: Path) -> None:
     video, rng = tmp_path / "probe.mkv", np.random.default_rng(0)
     with VideoWriter(video, (60, 80)) as writer:

@@ -79,7 +79,12 @@ def test_the_place_of_probes_and_of_their_clocks(run, tmp_path: Path) -> None:
         (["--offset", "0,0", "--smooth", "well"], "--smooth: unknown value 'well'; use one of live, whole"),
         (["--offset", "0,0", "--track", "4", "--track", "1"], "a.parquet: no track 4; it has 1"),
         (["--offset", "0,0", "--correlation", "2"], "--correlation"),
-        (["--place", "0,0", "--distance", "5", "--field", "200,20"], "field"),
+        (["--place", "0,0", "--distance", "5", "--field", "200,20"], "--field: must lie between 0 and 180 degrees"),
+        (["--place", "0,0", "--distance", "0", "--field", "3,2"], "--distance: must be positive, is 0 m"),
+        (["--place", "nan,0", "--distance", "5", "--field", "3,2"], "--place: 'nan,0' is not two finite numbers"),
+        (["--offset", "0,0", "--start", "nan"], "--start: must be finite, is nan"),
+        (["--offset", "0,0", "--roll-spread", "2"], "--roll-spread: needs --place"),
+        (["--offset", "0,0", "--systematic", "0.5"], "--systematic: is of smoothing"),
     ],
 )
 def test_bad_input_is_one_line(run, pair: list[Path], tmp_path: Path, extra: list[str], words: str) -> None:
@@ -92,6 +97,7 @@ def test_bad_input_is_one_line(run, pair: list[Path], tmp_path: Path, extra: lis
 def test_tables_that_cannot_be_fused(run, pair: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out.csv"
     assert "a single probe cannot be fused" in run("fuse", pair[0], "-o", out).complaint
+    assert "is given twice" in run("fuse", pair[0], pair[0], "-o", out, "--offset", "0,0").complaint
     assert "one of the tables" in run("fuse", *pair, "-o", pair[0], "--offset", "0,0").complaint
     assert "unknown kind of table" in run("fuse", *pair, "-o", tmp_path / "out.xls", "--offset", "0,0").complaint
     assert "no such file" in run("fuse", pair[0], tmp_path / "none.csv", "-o", out, "--offset", "0,0").complaint

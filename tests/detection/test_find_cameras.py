@@ -279,6 +279,41 @@ def test_sixteen_bits_are_eight_bits_finer() -> None:
     assert sixteen.peak[0] == pytest.approx(eight.peak[0], abs=1.0)
 
 
+@pytest.mark.parametrize("bits", [10, 12])
+def test_sixteen_bits_of_which_a_camera_uses_fewer(bits: int) -> None:
+    """Such pictures were searched as if they were almost dark."""
+    empty = room(5)
+    lit, gain = glint(empty, 150, 100, 90, 1.2), 2 ** (bits - 8)
+    pair = [one.round().astype(np.uint8) for one in (lit, empty)]
+    eight = tp.find_cameras(*(one.astype(np.float32) for one in pair), false_alarms=math.inf)
+    for scale, dark_gain in ((None, gain), (2**bits - 1, gain), (None, 1)):
+        # A dark frame of eight bits has its own scale.
+        dark = pair[1] if dark_gain == 1 else pair[1].astype(np.uint16) * gain
+        found = tp.find_cameras(pair[0].astype(np.uint16) * gain, dark, false_alarms=math.inf, full_scale=scale)
+        assert math.dist((eight.x[0], eight.y[0]), (found.x[0], found.y[0])) < 0.1
+        assert found.false_alarms[0] < 2 * eight.false_alarms[0]
+
+
+def test_a_scale_that_is_given_holds_for_any_type() -> None:
+    empty = room(5)
+    lit = glint(empty, 150, 100, 90, 1.2)
+    usual = tp.find_cameras(lit, empty, false_alarms=math.inf)
+    for share, kind in ((1 / 255, np.float32), (257.0, np.int32)):
+        pair = [(share * one).astype(kind) for one in (lit, empty)]
+        found = tp.find_cameras(*pair, false_alarms=math.inf, full_scale=255 * share)
+        assert math.dist((usual.x[0], usual.y[0]), (found.x[0], found.y[0])) < 0.1
+
+
+@pytest.mark.parametrize("largest", [1.0, 3.0, 5.0, 16.0])
+def test_nothing_is_wider_than_the_largest(largest: float) -> None:
+    """A limit of up to three pixels ended in a traceback, others were exceeded by up to twice."""
+    empty = room(6)
+    lit = glint(glint(empty, 150, 100, 90, 1.2), 250, 200, 90, 6)
+    for dark in (empty, None):
+        found = tp.find_cameras(lit, dark, false_alarms=math.inf, largest=largest)
+        assert found.diameter.max(initial=0.0) <= largest
+
+
 def test_registration_follows_a_hand() -> None:
     picture = room(6)
     lit = exposed(picture, 1).astype(np.float32)
@@ -330,9 +365,22 @@ def test_what_stands_alone_is_searched_first() -> None:
         (np.zeros((20, 30), np.uint8), None, "at least 32 x 32"),
         (np.zeros((40, 50, 2), np.uint8), None, "expected [H, W]"),
         (np.zeros((40, 50), complex), None, "are no levels"),
+        (room(0).astype(np.int32), None, "do not say at which level they saturate"),
+        (room(0) / 255, None, "the highest level is"),
         (np.broadcast_to(np.uint8(0), (20_000, 20_000)), None, "more than can be searched"),
     ],
-    ids=["other scene", "other soft scene", "other size", "nan", "tiny", "channels", "complex", "huge"],
+    ids=[
+        "other scene",
+        "other soft scene",
+        "other size",
+        "nan",
+        "tiny",
+        "channels",
+        "complex",
+        "int32",
+        "from 0 to 1",
+        "huge",
+    ],
 )
 def test_what_cannot_be_used_is_refused(lit: np.ndarray, dark: np.ndarray | None, told: str) -> None:
     with pytest.raises(InputError, match=re.escape(told)):

@@ -111,6 +111,29 @@ def test_truncated_images_are_told_in_one_line(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize("damage", ["cut", "overwritten"])
+def test_damaged_jpegs_are_told(tmp_path: Path, damage: str, capfd: pytest.CaptureFixture[str]) -> None:
+    """OpenCV fills what is missing with grey, where a search then finds what is not there."""
+    file = tmp_path / "bad.jpg"
+    cv2.imwrite(str(file), picture(height=100, width=120))
+    data = file.read_bytes()
+    half = len(data) // 2
+    bad = {"cut": data[:half] + b"\xff\xd9", "overwritten": data[:half] + 200 * b"\xff\x00" + data[half + 400 :]}
+    file.write_bytes(bad[damage])
+    with pytest.raises(InputError, match=r"bad\.jpg: the image is damaged"):
+        list(open_frames(file))
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("flags", [[], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 2]])
+def test_whole_jpegs_are_read(tmp_path: Path, flags: list[int]) -> None:
+    file = tmp_path / "whole.jpg"
+    cv2.imwrite(str(file), picture(height=101, width=123), flags)
+    # Some cameras append a little.
+    file.write_bytes(file.read_bytes() + bytes(100))
+    assert next(iter(open_frames(file))).image.shape == (101, 123)
+
+
 def test_a_float_tiff_is_refused(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.tiff"), np.ones((4, 4), np.float32))
     with pytest.raises(InputError, match="float32 samples; save it with 8 or 16 bit"):

@@ -174,8 +174,8 @@ def test_tables_that_know_utc_need_no_starts():
     assert told.used == want.used
     assert told.table["time"].to_numpy() == pytest.approx(want.table["time"].to_numpy(), abs=1e-6)
     assert told.table["utc_ns"][0].as_py() == begun
-    # One that has none leaves all at the same time, as before.
-    with pytest.raises(InputError, match="do not overlap"):
+    # Where one has none nobody knows how much later it begins.
+    with pytest.raises(InputError, match="has no UTC, which others have"):
         fuse_tracks([dated[0], tables[1]], places)
 
 

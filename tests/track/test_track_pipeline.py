@@ -14,6 +14,7 @@ from tapetum.errors import InputError
 from tapetum.models import Prediction
 from tapetum.record.source import Frame
 from tapetum.track import Tracker, read_tracks, retrack, track, track_schema, track_to_file, write_tracks
+from tapetum.track.tables import detections_schema, read_table
 
 COUNT = 12
 
@@ -204,6 +205,11 @@ def test_bad_input_is_told_before_anything_is_done(frames, tmp_path):
         track(frames, batch=0)
     with pytest.raises(InputError, match="nowhere"):
         track(tmp_path / "nowhere")
+    for seconds in (math.nan, -1.0, 0.0):
+        with pytest.raises(InputError, match="seconds: must be positive"):
+            track_to_file(frames, tmp_path / "t.csv", seconds=seconds)
+    with pytest.raises(InputError, match="is the table of tracks too"):
+        track_to_file(frames, tmp_path / "t.csv", detections=tmp_path / "t.csv")
     with pytest.raises(InputError):
         track(frames, model=tmp_path / "no-model")
     with pytest.raises(InputError, match="no column time, track"):
@@ -223,6 +229,14 @@ def test_tables_that_are_none_are_refused(tmp_path, suffix):
         retrack(path)
     with pytest.raises(InputError, match="no column"):
         retrack(pa.table({"frame": [1]}))
+
+
+def test_detections_without_a_time_are_refused(frames, tmp_path):
+    track_to_file(frames, tmp_path / "t.csv", detections=tmp_path / "d.parquet")
+    kept = read_table(tmp_path / "d.parquet", detections_schema())
+    times = [None, *kept["time"].to_pylist()[1:]]
+    with pytest.raises(InputError, match="time: frame 0 has none"):
+        retrack(kept.set_column(kept.column_names.index("time"), "time", pa.array(times, pa.float64())))
 
 
 def test_rows_hold_no_nan(frames):

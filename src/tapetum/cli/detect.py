@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,6 +16,8 @@ __all__ = ["detect"]
 
 # As many finds, each with at most so many expected false alarms a frame, are said to be doubtful.
 _MANY, _RARE = 6, 0.01
+# Levels at which types of pixels end, where a file says nothing of its own.
+_UNSTATED = {255, 65535}
 
 
 def detect(
@@ -41,7 +43,7 @@ def detect(
     """Find cameras, and other optics that look at the probe; the likeliest comes first.
 
     With --dark the two pictures are registered to each other, so that only what the light adds is looked at. One
-    picture alone finds much less: windows, lamps and edges shine too.
+    picture alone finds much less: windows, lamps and edges shine too. Places count in pixels of LIT as viewers show it.
     """
     if picture is not None and picture.suffix.lower() != ".png":
         raise InputError("cannot be drawn in this format", where=picture, remedy="name it NAME.png")
@@ -52,22 +54,37 @@ def detect(
         raise InputError("is the table too", where="--picture", remedy="name another file")
     if dark is not None and lit.exists() and dark.exists() and lit.samefile(dark):
         raise InputError("is LIT itself", where="--dark", remedy="give the picture with the light off, or leave it out")
+    import numpy as np
+
     from tapetum.detection import find_cameras
     from tapetum.record.images import read_image
     from tapetum.track.tables import checked_suffix, table_writer
 
     checked_suffix(out)
-    first = read_image(lit, colour=True)[0]
-    second = None if dark is None else read_image(dark, colour=True)[0]
-    found = find_cameras(first, second, false_alarms=false_alarms, largest=largest, channel=channel)
+    read = [read_image(path, colour=True) for path in inputs]
+    pictures, stated = [image for image, _ in read], {scale for _, scale in read}
+    scale = None
+    if not stated <= _UNSTATED:
+        # A PGM says at which level it saturates.
+        pictures = [image.astype(np.float32) * np.float32(255 / level) for image, level in read]
+        scale = 255.0
+    elif len({image.dtype for image in pictures}) > 1:
+        typer.echo("note: LIT and DARK differ in their bits; each is scaled by its own", err=True)
+    wanted: Any = {"false_alarms": false_alarms, "largest": largest, "channel": channel, "full_scale": scale}
+    try:
+        found = find_cameras(*pictures, **wanted)
+    except InputError as error:
+        named = {"lit": lit, "dark": dark}.get(str(error.where))
+        raise error if named is None else InputError(error.what, where=named, remedy=error.remedy) from error
     table = found.to_table()
     with table_writer(out, table.schema) as writer:
         for row in table.to_pylist():
             writer.write(row)
-    if picture is not None:
-        from tapetum.detection.draw import draw_found
+        if picture is not None:
+            from tapetum.detection.draw import draw_found
 
-        draw_found(first, found, picture)
+            # Before the table has its name: without the picture there is none either.
+            draw_found(pictures[0], found, picture)
     if found.swapped:
         typer.echo("note: what is bright in DARK alone looks more like a camera: are the two swapped?", err=True)
     if int((found.false_alarms <= _RARE).sum()) >= _MANY:

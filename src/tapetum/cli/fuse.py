@@ -13,6 +13,9 @@ from tapetum.cli.options import WAYS, AsJson, Force, Smooth, Systematic, TracksO
 from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError, one_of
 
+# Share of the intervals' width that smoothing leaves.
+_USUAL = 1.0
+
 
 def fuse(
     tables: Annotated[list[Path], typer.Argument(metavar="TRACKS...", help="The tracks of each probe.")],
@@ -47,7 +50,7 @@ def fuse(
         float, option("R", "Correlation of two probes' errors; 1 is always safe.", min=0.0, max=1.0)
     ] = 0.5,
     smooth: Smooth = None,
-    systematic: Systematic = 1.0,
+    systematic: Systematic = _USUAL,
     max_gap: Annotated[
         float | None, option("SECONDS", "Longest gap that is bridged; three frames by default.", min=0.0)
     ] = None,
@@ -65,6 +68,11 @@ def fuse(
         raise InputError("a single probe cannot be fused", where=tables[0], remedy="give the tracks of two or more")
     if any(one.resolve() == out.resolve() for one in tables):
         raise InputError("is one of the tables to fuse", where="--out", remedy="name another file")
+    for n, one in enumerate(tables):
+        if any(one.exists() and other.exists() and one.samefile(other) for other in tables[:n]):
+            raise InputError("is given twice: it would count as two probes", where=one, remedy="name each table once")
+    if smooth is None and systematic != _USUAL:
+        raise InputError("is of smoothing", where="--systematic", remedy="add --smooth, or leave it out")
     check_output(out, force)
     from tapetum.track.fuse import Places, fuse_tracks
     from tapetum.track.smooth import smooth_tracks
@@ -76,9 +84,18 @@ def fuse(
     if offsets:
         if places or distance is not None or field is not None:
             raise InputError("takes the place of --place, --distance and --field", where="--offset", remedy="choose")
+        if roll_spread:
+            raise InputError("needs --place", where="--roll-spread", remedy="leave it out with --offset")
         standing = [(0.0, 0.0), *_pairs(offsets, "--offset", further)]
     elif places and distance is not None and field is not None:
-        width, height = (math.radians(one) for one in _pair(field, "--field"))
+        degrees = _pair(field, "--field")
+        if not all(0 < one < 180 for one in degrees):
+            raise InputError(f"must lie between 0 and 180 degrees, is {field}", where="--field")
+        if not 0 < distance < math.inf:
+            raise InputError(f"must be positive, is {distance:g} m", where="--distance")
+        if not math.isfinite(roll_spread):
+            raise InputError(f"must be finite, is {roll_spread}", where="--roll-spread", remedy="give degrees")
+        width, height = map(math.radians, degrees)
         around = ((0.0, 0.0), *_pairs(places, "--place", further))
         standing = Places(around, distance, (width, height), roll_spread=math.radians(roll_spread))
     else:
@@ -86,6 +103,9 @@ def fuse(
         raise InputError("it is not known where the probes stand", where="fuse", remedy=remedy)
     if starts is not None and len(starts) != further:
         raise InputError(f"{len(starts)} for {further} further probes", where="--start", remedy="give one for each")
+    if starts is not None and not all(map(math.isfinite, starts)):
+        told = ", ".join(f"{one:g}" for one in starts)
+        raise InputError(f"must be finite, is {told}", where="--start", remedy="give seconds")
     read = [read_tracks(one) for one in tables]
     if smooth is not None:
         read = [smooth_tracks(one, causal=smooth == "live", systematic=systematic) for one in read]
@@ -114,6 +134,8 @@ def _pair(text: str, where: str) -> tuple[float, float]:
     except ValueError as error:
         what = f"{text!r} is not two numbers"
         raise InputError(what, where=where, remedy="write them with a comma between, such as 0.3,0") from error
+    if not (math.isfinite(first) and math.isfinite(second)):
+        raise InputError(f"{text!r} is not two finite numbers", where=where, remedy="give two such as 0.3,0")
     return first, second
 
 

@@ -78,7 +78,9 @@ def serve(
         bool, typer.Option("--every-frame", help="Leave none of a stored source's frames out; else real time.")
     ] = False,
     repeat: Annotated[bool, typer.Option("--repeat", help="Begin a stored source again at its end.")] = False,
-    rate: Annotated[float | None, option("HZ", "Frames a second asked of a camera, or of images.", min=0.1)] = None,
+    rate: Annotated[
+        float | None, option("HZ", "Frames a second asked of a camera, or of images.", min=0.1, max=1e5)
+    ] = None,
     stream: Annotated[str, option("NAME", "Which stream of a recording.")] = "probe",
     address: Annotated[
         str, option("ADDRESS", "Where the page is served; others than this machine's own demand a token.")

@@ -30,13 +30,16 @@ from tapetum.progress import bar
 if TYPE_CHECKING:
     import pyarrow as pa
 
+_PROBE, _AUTO, _USUAL = "probe", "auto", 1.0
+
 
 def track(
     source: Annotated[
-        Path,
+        str,
         typer.Argument(
             metavar="SOURCE",
-            help="A camera:0, video, folder of images, image, recording, bench:SCENE, or a table of --detections.",
+            help="A camera:0, rtsp://…, video, folder of images, image, recording, bench:SCENE, or a table of "
+            "--detections.",
         ),
     ],
     out: TracksOut,
@@ -76,13 +79,13 @@ def track(
         ),
     ] = False,
     smooth: Smooth = None,
-    systematic: Systematic = 1.0,
-    stream: Annotated[str, option("NAME", "Which stream of a recording.")] = "probe",
+    systematic: Systematic = _USUAL,
+    stream: Annotated[str, option("NAME", "Which stream of a recording.")] = _PROBE,
     seconds: Annotated[
         float | None, option("S", "Track so long; else to the end, or of a camera to Ctrl-C.", min=0.01)
     ] = None,
     unit: WhoseIntervals = None,
-    device: Device = "auto",
+    device: Device = _AUTO,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
@@ -96,6 +99,8 @@ def track(
         raise InputError("is the file of the tracks too", where="--detections", remedy="name another file")
     if smooth is not None:
         one_of(smooth, WAYS, "--smooth")
+    elif systematic != _USUAL:
+        raise InputError("is of smoothing", where="--systematic", remedy="add --smooth, or leave it out")
     for path in (out, detections):
         check_output(path, force, sources=[source])
     from tapetum.track.detector import DETECTORS
@@ -103,6 +108,9 @@ def track(
     one_of(detector, tuple(DETECTORS), "--detector")
     options = _given(min_snr=min_snr, largest=largest, false_alarms=false_alarms)
     if calibrate:
+        for flag, value in (("--model", models), ("--activity", activity), ("--smooth", smooth), ("--ghost", ghost)):
+            if value:
+                raise InputError("is not used while a ghost is sought", where=flag, remedy="leave it out")
         _calibrate(source, out, detector, options, stream, seconds, as_json)
         return
     from tapetum.files import free_name
@@ -111,14 +119,30 @@ def track(
     from tapetum.track.pipeline import make_detector
     from tapetum.track.tables import checked_suffix
 
-    if source.suffix.lower() in FORMATS and source.is_file():
-        if models or detections is not None:
-            remedy = "leave --model and --detections out, or give the video"
-            raise InputError("holds detections, not frames", where=source, remedy=remedy)
-        _again(source, out, detector, smooth, systematic)
+    table = Path(source)
+    if table.suffix.lower() in FORMATS and table.is_file():
+        _refuse_of_frames(
+            table,
+            {
+                "--model": models,
+                "--detections": detections,
+                "--false-alarms-per-frame": false_alarms,
+                "--min-snr": min_snr,
+                "--largest": largest,
+                "--ghost": ghost,
+                "--activity": activity or None,
+                "--stream": None if stream == _PROBE else stream,
+                "--seconds": seconds,
+                "--unit": unit,
+                "--device": None if device == _AUTO else device,
+            },
+        )
+        _again(table, out, detector, smooth, systematic, as_json)
         return
     if smooth is not None and not models:
         raise InputError("without a model there is nothing to smooth", where="--smooth", remedy="give --model")
+    if unit is not None and not models:
+        raise InputError("says whose intervals a model gives", where="--unit", remedy="give --model")
     checked_suffix(out)
     # What is smoothed takes its name only when it is; until then, and if it cannot be, the tracks are kept beside.
     raw = out if smooth is None else free_name(out, "unsmoothed")
@@ -158,9 +182,10 @@ def track(
     if as_json:
         typer.echo(json.dumps({**asdict(summary), "out": str(out)}))
         return
-    counts = (("track", summary.tracks), ("frame", summary.frames), ("sighting", summary.seen))
-    tracks, frames, seen = (f"{count} {word}{'' if count == 1 else 's'}" for word, count in counts)
-    typer.echo(f"{out}: {tracks} in {frames}, {seen}{f', {summary.lost} frames lost' if summary.lost else ''}")
+    counts = (("track", summary.tracks), ("frame", summary.frames), ("sighting", summary.seen), ("frame", summary.lost))
+    tracks, frames, seen, missed = (f"{count} {word}{'' if count == 1 else 's'}" for word, count in counts)
+    lost = f", {missed} lost" if summary.lost else ""
+    typer.echo(f"{out}: {tracks} in {frames}, {seen}{lost}")
 
 
 def _given(**options: Any) -> dict[str, Any]:
@@ -168,7 +193,7 @@ def _given(**options: Any) -> dict[str, Any]:
 
 
 def _calibrate(
-    source: Path, out: Path, detector: str, options: dict[str, Any], stream: str, seconds: float | None, as_json: bool
+    source: str, out: Path, detector: str, options: dict[str, Any], stream: str, seconds: float | None, as_json: bool
 ) -> None:
     """Find the ghost in a source's frames and write it."""
     if out.suffix.lower() != ".json":
@@ -207,12 +232,34 @@ def _smoothed(table: pa.Table, way: str | None, systematic: float) -> pa.Table:
     return smooth_tracks(table, causal=way == "live", systematic=systematic)
 
 
-def _again(source: Path, out: Path, detector: str, smooth: str | None, systematic: float) -> None:
+def _refuse_of_frames(table: Path, given: dict[str, Any]) -> None:
+    """Refuse what applies to frames where the source holds detections."""
+    flags = [flag for flag, value in given.items() if value]
+    if flags:
+        raise InputError(
+            f"holds detections, not frames: {', '.join(flags)} can change nothing of them",
+            where=table,
+            remedy=f"leave {'them' if len(flags) > 1 else 'it'} out, or give the video",
+        )
+
+
+def _again(source: Path, out: Path, detector: str, smooth: str | None, systematic: float, as_json: bool) -> None:
     """Track stored detections again, with their estimates."""
     from tapetum.track import retrack, write_tracks
     from tapetum.track.pipeline import make_detector, usual_tracker
 
-    tracks = _smoothed(retrack(source, tracker=usual_tracker(make_detector(detector))), smooth, systematic)
+    try:
+        found = retrack(source, tracker=usual_tracker(make_detector(detector)))
+    except InputError as error:
+        # Errors of single values name a column.
+        if error.where == source:
+            raise
+        where = f"{source}, {error.where}" if error.where else source
+        raise InputError(error.what, where=where, remedy=error.remedy) from error
+    tracks = _smoothed(found, smooth, systematic)
     write_tracks(tracks, out)
     number = len(set(tracks["track"].to_pylist()))
+    if as_json:
+        typer.echo(json.dumps({"tracks": number, "rows": tracks.num_rows, "out": str(out)}))
+        return
     typer.echo(f"{out}: {number} track{'' if number == 1 else 's'} in {tracks.num_rows} rows, from kept detections")

@@ -264,7 +264,7 @@ def layers(lit: NDArray, registered: Registered | None, largest: float) -> list[
         if found[-1].step == _WHOLE:
             small, dark = small.astype(np.float32), None if dark is None else dark.astype(np.float32)
         small, dark = _halved(small), None if dark is None else _halved(dark)
-    return [one for one in found if 4 * SIGMAS[0] * one.step <= largest]
+    return [one for one in found if one.step == 1 or 4 * SIGMAS[0] * one.step <= largest]
 
 
 def screened(layer: Layer, most: int) -> tuple[Place, Place]:

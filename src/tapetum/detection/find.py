@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,7 @@ __all__ = [
     "LOOKED_AGAIN",
     "clutter_of_frame",
     "clutter_of_pair",
+    "depth_of",
     "find_cameras",
     "joined",
     "judged",
@@ -55,6 +57,8 @@ _CLUTTER = 3
 _RANKS = (30, 50)
 # Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
 _LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
+# Bits of cameras.
+_DEPTHS = (8, 10, 12, 14, 16)
 
 Array = NDArray[np.float64]
 
@@ -68,13 +72,14 @@ def find_cameras(
     most: int | None = None,
     channel: str = "mean",
     swaps: bool = True,
+    full_scale: float | None = None,
 ) -> Found:
     """Find cameras, and other optics that look at the probe, in one frame or in a lit and a dark one.
 
     Parameters
     ----------
     lit
-        [H, W] grey or [H, W, 3] red, green, blue; uint8, uint16 or float, lit by the probe.
+        [H, W] grey or [H, W, 3] red, green, blue, lit by the probe: uint8, uint16, or float levels from 0 to 255.
     dark
         The same without the probe's light, of the same size. Both may be taken by hand: they are registered.
     false_alarms
@@ -88,6 +93,8 @@ def find_cameras(
         near-infrared lamp, which is in all three; for a red laser "red" has less of the room's own light in it.
     swaps
         Whether to look, where nothing is likely in a pair, if the two are swapped. It takes half the time again.
+    full_scale
+        Level at which pixels of both saturate. Default: 255, of uint16 what `depth_of` finds in the two together.
 
     Returns
     -------
@@ -113,11 +120,22 @@ def find_cameras(
         raise InputError(f"must be positive, is {false_alarms}", where="false_alarms", remedy="0.01 is usual")
     if not largest > 0:
         raise InputError(f"must be positive, is {largest}", where="largest", remedy="give a diameter in pixels")
-    if most is not None and most < 1:
-        raise InputError(f"must be at least 1, is {most}", where="most")
+    if most is not None and not (isinstance(most, int) and most >= 1):
+        raise InputError(f"must be a whole number from 1, is {most!r}", where="most")
+    if full_scale is not None and not 0 < full_scale < math.inf:
+        raise InputError(f"must be positive, is {full_scale}", where="full_scale", remedy="255 is usual")
     one_of(channel, CHANNELS, "channel")
-    first = _levels(lit, channel, "lit")
-    second = None if dark is None else _levels(dark, channel, "dark")
+    frames = {"lit": lit} if dark is None else {"lit": lit, "dark": dark}
+    arrays = [_checked(image, name, full_scale) for name, image in frames.items()]
+    if channel != CHANNELS[0] and (
+        name := next((n for n, one in zip(frames, arrays, strict=True) if one.ndim == 2), "")
+    ):
+        raise InputError(f"is grey: it has no channel {channel!r}", where=name, remedy="leave channel out")
+    wide = [one for one in arrays if one.dtype == np.uint16]
+    depth = depth_of(*wide) if wide else FULL
+    scales = [full_scale or (depth if one.dtype == np.uint16 else FULL) for one in arrays]
+    grey = [_levels(one, channel, scale) for one, scale in zip(arrays, scales, strict=True)]
+    first, second = grey[0], grey[1] if len(grey) > 1 else None
     score = load_score(pair=second is not None)
     if second is not None and first.dtype != second.dtype:
         first, second = first.astype(np.float32), second.astype(np.float32)
@@ -135,7 +153,8 @@ def find_cameras(
         others = swapped_candidates(octaves, registered, most, first)
         swapped = bool((score.false_alarms(*judged(others, candidates.first(DECOYS), score)) < _LIKELY_ONE).any())
     order = np.argsort(-log_odds, kind="stable")
-    order = order[alarms[order] <= false_alarms]
+    # An octave holds spots up to twice the width of its finest.
+    order = order[(alarms[order] <= false_alarms) & (found["diameter"][order] <= largest)]
     probability = score.probability(log_odds, clutter)
     return Found(
         x=found["x"][order],
@@ -218,8 +237,17 @@ def _told(candidates: Candidates, odds: Array, most: int) -> Told:
     return Told(candidates.looks, candidates.columns["clear"], second_look(candidates, odds, most))
 
 
-def _levels(image: NDArray[np.generic], channel: str, where: str) -> NDArray:
-    """The frame as grey levels from 0 to 255, [H, W]: uint8 where it was, else float32."""
+def depth_of(*images: NDArray[np.generic]) -> int:
+    """Level at which pixels of 16-bit images saturate: of 8, 10, 12, 14 or 16 bits the fewest that hold all of them.
+
+    Cameras of 10 or 12 bits store their numbers in 16; files do not say how many are used.
+    """
+    highest = max(int(one.max(initial=0)) for one in images)
+    return next(2**bits - 1 for bits in _DEPTHS if highest < 2**bits)
+
+
+def _checked(image: NDArray[np.generic], where: str, full_scale: float | None) -> NDArray[Any]:
+    """The frame as an array of levels; InputError where it is no picture or its levels mean nothing."""
     array: NDArray[Any] = np.asarray(image)
     if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3) or min(array.shape[:2]) < 32:
         what = f"expected [H, W] or [H, W, 3] of at least 32 x 32 pixels, got shape {array.shape}"
@@ -228,15 +256,26 @@ def _levels(image: NDArray[np.generic], channel: str, where: str) -> NDArray:
         what = f"{array.shape[1]} x {array.shape[0]} pixels are more than can be searched at once"
         raise InputError(what, where=where, remedy=f"cut it into parts of at most {LARGEST_FRAME // 10**6} megapixels")
     if array.dtype.kind not in "uif":
-        what = f"pixels of type {array.dtype} are no levels"
-        raise InputError(what, where=where, remedy="give uint8, uint16 or float")
+        raise InputError(
+            f"pixels of type {array.dtype} are no levels", where=where, remedy="give uint8, uint16 or float"
+        )
+    if array.dtype.kind != "f" and array.dtype not in (np.uint8, np.uint16) and full_scale is None:
+        what = f"pixels of type {array.dtype} do not say at which level they saturate"
+        raise InputError(what, where=where, remedy="give uint8, uint16 or float from 0 to 255, or full_scale")
+    if array.dtype.kind == "f":
+        if not np.isfinite(array).all():
+            raise InputError("holds pixels that are not finite", where=where, remedy="replace NaN and infinite pixels")
+        if full_scale is None and 0 < float(array.max()) <= 1:
+            what = f"the highest level is {float(array.max()):.3g} where 255 is white"
+            raise InputError(what, where=where, remedy="give levels from 0 to 255, or full_scale=1")
+    return array
+
+
+def _levels(array: NDArray[Any], channel: str, scale: float) -> NDArray[Any]:
+    """The frame as grey levels from 0 to 255, [H, W]: uint8 where it was, else float32. It saturates at `scale`."""
     kind = array.dtype
     if array.ndim == 3:
         array = array.mean(2, dtype=np.float32) if channel == "mean" else array[..., CHANNELS.index(channel) - 1]
-    if kind == np.uint8:
+    if kind == np.uint8 and scale == FULL:
         return np.ascontiguousarray(array if array.dtype == np.uint8 else array.round().astype(np.uint8))
-    scale = 1.0 if kind.kind == "f" or kind == np.uint8 else FULL / np.iinfo(str(kind)).max
-    grey = array.astype(np.float32) * np.float32(scale)
-    if not np.isfinite(grey).all():
-        raise InputError("holds pixels that are not finite", where=where, remedy="replace NaN and infinite pixels")
-    return grey
+    return array.astype(np.float32) * np.float32(FULL / scale)

@@ -4,7 +4,8 @@ A probe in the hand moves between two exposures: everything shifts by tens of pi
 and people walk. A common shift comes first (phase correlation), then a dense optical flow (DIS: Kroeger et al., ECCV
 2016), smoothed so that it cannot follow a spot a few pixels wide: a retro-reflection has no partner in the dark frame.
 Where the two then match poorly, the probe may have turned or stepped forward: a common turn and scale, from matched
-corners (ORB: Rublee et al., ICCV 2011), is tried in place of the shift.
+corners (ORB: Rublee et al., ICCV 2011), is tried in place of the shift. One file of a little over 400 lines, because
+all steps share the frames' sizes and patches.
 """
 
 from __future__ import annotations

@@ -11,8 +11,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
+from av.error import FFmpegError, InvalidDataError
 
 from tapetum.errors import InputError
 from tapetum.record.source import Frame, Stored, existing, full_scale_of
@@ -64,6 +66,21 @@ def cut_short(data: bytes) -> bool:
     return False
 
 
+def damaged_jpeg(data: bytes) -> bool:
+    """Return whether a JPEG's coded data are broken: OpenCV fills what is missing with grey, FFmpeg can be strict."""
+    if not data.startswith(b"\xff\xd8\xff"):
+        return False
+    decoder = av.CodecContext.create("mjpeg", "r")
+    decoder.options = {"err_detect": "explode"}
+    with contextlib.suppress(FFmpegError):
+        try:
+            decoder.decode(av.Packet(data))
+            decoder.decode(None)
+        except InvalidDataError:
+            return True
+    return False
+
+
 def pnm_maximum(data: bytes) -> int | None:
     """Return the maximum sample value in the header of a PGM or PPM; None for any other file."""
     if data[:2] not in (b"P2", b"P3", b"P5", b"P6"):
@@ -86,9 +103,9 @@ def to_grey(image: np.ndarray) -> np.ndarray:
 def read_image(path: str | os.PathLike[str], page: int = 0, *, colour: bool = False) -> tuple[np.ndarray, int]:
     """Return an image file as grey [H, W], uint8 or uint16, and its digital number of saturation.
 
-    `page` chooses an image of a TIFF, from 0. Colour becomes luma, or with `colour` [H, W, 3] red, green, blue;
-    orientation tags are ignored. Saturation is the maximum in a PGM's header, else 255 or 65535. Raises an InputError
-    when the file is unreadable, truncated, damaged, or not 8 or 16 bit.
+    `page` chooses an image of a TIFF, from 0. Colour becomes luma, or with `colour` [H, W, 3] red, green, blue; it is
+    turned as its orientation tag says, as viewers show it. Saturation is the maximum in a PGM's header, else 255 or
+    65535. Raises an InputError when the file is unreadable, truncated, damaged, or not 8 or 16 bit.
     """
     file = Path(path)
     try:
@@ -99,16 +116,20 @@ def read_image(path: str | os.PathLike[str], page: int = 0, *, colour: bool = Fa
         raise InputError("is empty", where=file, remedy=DAMAGED)
     if cut_short(data):
         raise InputError("the image is truncated", where=file, remedy=DAMAGED)
+    if damaged_jpeg(data):
+        raise InputError("the image is damaged: a part of it cannot be decoded", where=file, remedy=DAMAGED)
     image = None
+    # As pictures are shown: turned as they say, without transparency.
+    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
     with hushed(), contextlib.suppress(cv2.error):
         if page:
-            flags = cv2.IMREAD_UNCHANGED
             _, pages = cv2.imreadmulti(str(file), start=page, count=1, flags=flags)  # type: ignore[call-overload]
             image = pages[0] if len(pages) else None
         else:
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     if image is None:
-        raise InputError("is truncated, or not an image that can be read", where=file, remedy=DAMAGED)
+        remedy = f"{DAMAGED}; of kinds of files PNG, TIFF, PGM, BMP and JPEG are always read"
+        raise InputError("is truncated, or not an image that can be read", where=file, remedy=remedy)
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError(f"holds {image.dtype} samples", where=file, remedy="save it with 8 or 16 bit")
     stated = pnm_maximum(data)

@@ -55,6 +55,9 @@ class Frame:
         if self.image.ndim != 2 or self.image.dtype not in (np.uint8, np.uint16):
             what = f"must be [H, W] uint8 or uint16, is {list(self.image.shape)} {self.image.dtype}"
             raise InputError(what, where=f"image of frame {self.name or self.index}")
+        if self.full_scale is not None and not self.full_scale > 0:
+            what = f"must be positive, is {self.full_scale}"
+            raise InputError(what, where=f"full_scale of frame {self.name or self.index}", remedy="255 is usual")
         if self.full_scale is None:
             object.__setattr__(self, "full_scale", full_scale_of(self.image.dtype))
 

@@ -165,6 +165,10 @@ def open_container(file: Path) -> tuple[Any, Any]:
         container.close()
         raise InputError("holds no video", where=file, remedy="give a file with a video stream")
     stream: Any = container.streams.video[0]
+    if stream.codec_context is None:
+        container.close()
+        what = "holds video that cannot be decoded: its kind is unknown, or its beginning is damaged"
+        raise InputError(what, where=file, remedy="convert it, e.g. to FFV1 in an .mkv")
     stream.codec_context.thread_type = "SLICE" if stream.codec_context.name == "ffv1" else "AUTO"
     stream.codec_context.thread_count = THREADS
     return container, stream

@@ -68,18 +68,21 @@ def found_ahead(frames: Iterable[Frame], find: Callable[[Frame], Detections]) ->
                     close()
             offered(end)
 
-    with ThreadPoolExecutor(1, "detect") as pool:
-        thread = threading.Thread(target=read, name="read", daemon=True)
-        thread.start()
-        try:
-            while (item := ready.get()) is not None:
-                if isinstance(item, BaseException):
-                    raise item
-                yield item[0], item[1].result()
-        finally:
-            over.set()
+    pool = ThreadPoolExecutor(1, "detect")
+    thread = threading.Thread(target=read, name="read", daemon=True)
+    thread.start()
+    try:
+        while (item := ready.get()) is not None:
+            if isinstance(item, BaseException):
+                raise item
+            yield item[0], item[1].result()
+    finally:
+        over.set()
+        # A generator that nobody holds any more may be closed in one of these threads, which cannot wait for itself.
+        with suppress(RuntimeError):
             thread.join(_PATIENCE)
-            pool.shutdown(wait=False, cancel_futures=True)
+        with suppress(RuntimeError):
+            pool.shutdown(cancel_futures=True)
 
 
 def found_next(frames: Iterable[Frame], find: Callable[[Frame], Detections]) -> Iterator[tuple[Frame, Detections]]:

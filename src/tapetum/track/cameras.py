@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from tapetum.data.crop import find_centre
 from tapetum.detection import Found, find_cameras
+from tapetum.detection.find import depth_of
 from tapetum.detection.global_motion import MotionFinder
 from tapetum.errors import InputError
-from tapetum.record.source import Frame
+from tapetum.record.source import Frame, full_scale_of
 from tapetum.track.detections import Detections
 from tapetum.track.ghosts import Ghost
 from tapetum.track.tracker import Tracker
@@ -91,6 +92,8 @@ class CameraDetector:
         self.false_alarms, self.largest, self.min_snr = false_alarms, largest, min_snr
         self.known_ghost, self.ghosts, self.most, self.apart = known_ghost, ghosts, most, apart
         self.notes: Counter[str] = Counter()
+        # Of 16-bit frames whose source does not know at which level they saturate.
+        self._depth = 0
         self._dark: tuple[float, NDArray[np.generic]] | None = None
         self._motions = MotionFinder()
 
@@ -103,7 +106,7 @@ class CameraDetector:
         return Tracker(ghost_ratio=0.0, persist=(_ENOUGH, _FRAMES), doubt=_DOUBT, endings=True)
 
     def __call__(self, frame: Frame, /) -> Detections:
-        image = _levels(frame)
+        image = self._levels(frame)
         if frame.lit is False:
             self._dark = frame.time, image
             return Detections.empty(self._moved(image))
@@ -144,15 +147,37 @@ class CameraDetector:
         rare = np.clip(1 - np.log(np.maximum(costs, 1.0)) / math.log(_NOTHING), 0, 1)
         return np.where(costs <= 1, 1.0, rare * np.clip((_CLEAR - found.snr) / (_CLEAR - _DIM), 0, 1))
 
+    def _full_scale(self, frame: Frame) -> float:
+        scale = float(frame.full_scale or _EIGHT_BITS)
+        if frame.image.dtype == np.uint16 and scale == full_scale_of(np.uint16):
+            self._depth = max(self._depth, depth_of(frame.image))
+            return float(self._depth)
+        return scale
+
+    def _levels(self, frame: Frame) -> NDArray[np.generic]:
+        """The frame's image with its own full scale at 255: uint8 as it is, others as float32."""
+        scale = self._full_scale(frame)
+        if frame.image.dtype == np.uint8 and scale == _EIGHT_BITS:
+            return frame.image
+        return frame.image.astype(np.float32) * np.float32(_EIGHT_BITS / scale)
+
     def _moved(self, image: NDArray[np.generic]) -> NDArray[np.float64] | None:
         return self._motions(image)
 
     def _search(self, image: NDArray[np.generic], dark: NDArray[np.generic] | None, false_alarms: float) -> Found:
-        return find_cameras(image, dark, swaps=False, false_alarms=false_alarms, largest=self.largest, most=self.most)
+        return find_cameras(
+            image,
+            dark,
+            swaps=False,
+            false_alarms=false_alarms,
+            largest=self.largest,
+            most=self.most,
+            full_scale=_EIGHT_BITS,
+        )
 
     def _detections(self, frame: Frame, found: Found, motion: NDArray[np.float64] | None) -> Detections:
         image = frame.image
-        scale = float(frame.full_scale or _EIGHT_BITS) / _EIGHT_BITS
+        scale = self._full_scale(frame) / _EIGHT_BITS
         sigma = np.maximum(found.diameter / 4, 0.5)
         peak = scale * found.flux / (2 * math.pi * sigma**2)
         reach = np.maximum(4.0, 0.75 * found.diameter)
@@ -180,10 +205,3 @@ class CameraDetector:
         # Brightest first.
         spots = Detections.of(columns, motion)[np.argsort(-peak, kind="stable")]
         return spots if self.ghosts == "mark" else spots.without_ghosts
-
-
-def _levels(frame: Frame) -> NDArray[np.generic]:
-    """The frame's image with its own full scale at 255: uint8 as it is, others as float32."""
-    if frame.image.dtype == np.uint8 and frame.full_scale in (None, 255):
-        return frame.image
-    return frame.image.astype(np.float32) * np.float32(_EIGHT_BITS / float(frame.full_scale or _EIGHT_BITS))

@@ -147,6 +147,9 @@ def detect(
     if largest is not None and not largest > 0:
         raise InputError(f"must be positive, is {largest}", where="largest", remedy="give a diameter in pixels")
     whole = array.dtype.kind in "iu"
+    for name, value in (("full_scale", full_scale), ("ghost_radius", ghost_radius)):
+        if value is not None and not value > 0:
+            raise InputError(f"must be positive, is {value}", where=name, remedy="leave it out for the usual one")
     if full_scale is None:
         full_scale = float(np.iinfo(array.dtype).max) if whole else math.inf
     limit = math.inf if largest is None else largest

@@ -292,7 +292,7 @@ def fuse_tracks(
     for where, given in (("starts", starts), ("tracks", tracks)):
         if given is not None and len(given) != len(tables):
             raise InputError(f"{len(given)} for {len(tables)} probes", where=where, remedy="give one for each probe")
-    begun = _starts(tables) if starts is None else starts
+    begun = _starts(tables, called) if starts is None else starts
     told = [set(quantities_in(one, quantities, where=name)) for one, name in zip(tables, called, strict=True)]
     common = [name for name in quantities_in(tables[0], quantities, where=called[0]) if name in set.intersection(*told)]
     if not common:
@@ -315,14 +315,19 @@ def fuse_tracks(
     return Fusion(_table(fused, common, times, rows, clocks), used, dropped, int(fused.disagree.sum()))
 
 
-def _starts(tables: Sequence[pa.Table]) -> list[float]:
-    """Return when each table's time is 0, in seconds from the first one's, by UTC; zeros where one has none."""
-    known: list[tuple[int, float]] = []
-    for table in tables:
-        dated = table.filter(pc.is_valid(table["utc_ns"])) if "utc_ns" in table.column_names else table.slice(0, 0)  # type: ignore[attr-defined]
-        if not len(dated):
-            return [0.0] * len(tables)
-        known.append((dated["utc_ns"][0].as_py(), dated["time"][0].as_py()))
+def _starts(tables: Sequence[pa.Table], called: Sequence[str]) -> list[float]:
+    """Return when each table's time is 0, in seconds from the first one's, by UTC; zeros where none has it."""
+    dated = [
+        table.filter(pc.is_valid(table["utc_ns"])) if "utc_ns" in table.column_names else table.slice(0, 0)  # type: ignore[attr-defined]
+        for table in tables
+    ]
+    without = [name for name, one in zip(called, dated, strict=True) if not len(one)]
+    if len(without) == len(tables):
+        return [0.0] * len(tables)
+    if without:
+        remedy = "say by --start (starts=) how much later each further table's time 0 is"
+        raise InputError("has no UTC, which others have", where=", ".join(without), remedy=remedy)
+    known = [(one["utc_ns"][0].as_py(), one["time"][0].as_py()) for one in dated]
     # Nanoseconds since 1970 are integers: a float would lose some hundreds.
     utc, time = known[0]
     return [(other - utc) / 1e9 - (later - time) for other, later in known]

@@ -398,6 +398,10 @@ def track_to_file(
     """
     checked_suffix(out)
     _check_sizes(batch, side)
+    if seconds is not None and not 0 < seconds < math.inf:
+        raise InputError(f"must be positive, is {seconds}", where="seconds", remedy="leave it out for all frames")
+    if detections is not None and Path(detections).resolve() == Path(out).resolve():
+        raise InputError("is the table of tracks too", where=detections, remedy="name another file")
     estimators = _loaded(model)
     names = [name for estimator in estimators for name in estimator.target_names]
     options = dict(detect_options or {})

@@ -11,6 +11,7 @@ from typing import Any
 
 import pyarrow as pa
 
+from tapetum.errors import InputError
 from tapetum.record.source import Frame
 from tapetum.track.activity import Activity
 from tapetum.track.detections import Detections
@@ -227,8 +228,11 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         kept.append(pa.RecordBatch.from_pylist(records, schema=whole))
         records.clear()
 
-    for _, group in groupby(rows_of_table(table), key=lambda row: row["frame"]):
+    for number, group in groupby(rows_of_table(table), key=lambda row: row["frame"]):
         rows = list(group)
+        if not isinstance(rows[0]["time"], float) or not math.isfinite(rows[0]["time"]):
+            what = f"frame {number} has none, it holds {rows[0]['time']}"
+            raise InputError(what, where="time", remedy="give each frame its seconds, or leave its rows out")
         spots = [row for row in rows if row["x"] is not None]
         # Tables of older versions say which spots are weak, or lack that too, and whether the models apply.
         spots = [{**row, "evidence": _counted(row)} for row in spots]

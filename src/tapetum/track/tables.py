@@ -235,7 +235,8 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
         known = {**_DEVICE, **_JUDGED, **_STAY, **_FORMER, **{field.name: field.type for field in schema}}
         table = FORMATS[suffix].read(place, known)
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy="write it again") from error
+        remedy = "give a whole table, of tracks or of detections as it is asked for"
+        raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy=remedy) from error
     check_columns(table, schema.names, place, "give a table that Tapetum wrote")
     for name in set(schema.names) - set(table.column_names):
         table = table.append_column(name, pa.nulls(len(table), _LATER[name]))
