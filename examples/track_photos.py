@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> list[tuple[str, int, float, 
     """Print the table; return its file names, tracks and places."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
-    parser.add_argument("--min-snr", type=float, default=6.0, help="least signal-to-noise ratio of a detection")
+    parser.add_argument("--min-snr", type=float, default=7.0, help="least signal-to-noise ratio of a detection")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as spare:
         folder = options.folder or take_pictures(Path(spare))

@@ -44,7 +44,9 @@ def adapt(
         typer.Option("--spread/--in-a-row", help="Which frames --seconds takes: spread over the field, or the first."),
     ] = True,
     unit: Annotated[str | None, option("NAME", "Of a set of several copies of a camera: the one to adapt to.")] = None,
-    label: Annotated[str | None, option("NAME", "What it learns: what MODEL estimates already.")] = None,
+    label: Annotated[
+        str | None, option("NAME", "What it learns, which must be what MODEL estimates; that is the default.")
+    ] = None,
     epochs: Annotated[
         int | None,
         option("N", "Passes of all layers over the frames; by default a minute or two, or none if needless.", min=1),

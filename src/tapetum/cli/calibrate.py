@@ -80,7 +80,7 @@ def ghost(
     pitch: Annotated[str | None, option("LENGTH", "Pitch of the probe's pixels.")] = None,
     detector: Annotated[str, option("NAME", "What finds the spots: spots or cameras.")] = "spots",
     stream: Annotated[str, option("NAME", "Which stream of a recording.")] = "probe",
-    seconds: Annotated[float | None, option("S", "Look so long; else to the end.", min=0.1)] = None,
+    seconds: Annotated[float | None, option("S", "Stop after so many seconds; else at the end.", min=0.1)] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:

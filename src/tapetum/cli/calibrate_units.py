@@ -31,10 +31,10 @@ def units(
         ),
     ],
     out: Annotated[Path, option("MODEL", "The folder of the model with the new intervals.", "-o", "--out")],
-    count: Annotated[int | None, option("N", "Of a scene: copies to film (40).", "--units", min=1)] = None,
+    count: Annotated[int | None, option("N", "Of a scene: copies to film (40), 10 or more.", "--units", min=1)] = None,
     frames: Annotated[int | None, option("N", "Of a scene: frames of each copy (32).", min=1)] = None,
     seed: Annotated[
-        int | None, option("N", "Of a scene: of the first copy; the others' follow. 3,000,000 + the usual seed.", min=0)
+        int | None, option("N", "Of a scene: the first copy's seed, from which the others count up.", min=0)
     ] = None,
     split: Split = "time",
     device: Device = "auto",

@@ -8,13 +8,13 @@ from typing import Annotated
 import typer
 
 from tapetum.cli.models import find_model
-from tapetum.cli.options import Force, ModelName, option
+from tapetum.cli.options import Force, option
 from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError
 
 
 def export(
-    model: ModelName,
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="A network's folder, or the bundled thin-lens-gaze.")],
     out: Annotated[Path, option("FILE", "Where to write it: NAME.onnx.", "-o", "--out")],
     force: Force = False,
 ) -> None:

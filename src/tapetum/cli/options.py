@@ -41,7 +41,10 @@ TracksOut = Annotated[Path, option("TRACKS", "The table to write: .parquet, .csv
 Changes = Annotated[list[str] | None, option("KEY=VALUE", "Change any field of the scene; repeatable.", "--set")]
 Models = Annotated[list[str] | None, option("MODEL", f"{_MODELS}; repeatable.", "--model")]
 Smooth = Annotated[str | None, option("WAY", "Smooth estimates over time: live (by earlier frames alone) or whole.")]
-Systematic = Annotated[float, option("SHARE", "Share of the intervals' width that smoothing cannot reduce.", min=0.0)]
+Systematic = Annotated[
+    float,
+    option("SHARE", "Share of the intervals' width that smoothing cannot reduce: 1 keeps all of it, 0 none.", min=0.0),
+]
 Seed = Annotated[int, _SEED]
 SeedIfGiven = Annotated[int | None, _SEED]
 Device = Annotated[str, option("NAME", "Where to compute: auto, cpu, cuda or cuda:1.")]

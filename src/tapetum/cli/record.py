@@ -46,7 +46,7 @@ def record(
     seed: SeedIfGiven = None,
     changes: Changes = None,
     roll: Annotated[
-        float | None, option("DEG", "Turn the scene's hand-held target about its axis, RMS (0).", min=0)
+        float | None, option("DEG", "Turn the scene's hand-held target about its axis, RMS in degrees (0).", min=0)
     ] = None,
     walk: Annotated[
         tuple[float, float] | None,
@@ -55,7 +55,10 @@ def record(
     blink: Annotated[
         int | None,
         option(
-            "N", "Blink the laser by the code of this number: a scene's at the start, a real one by --blinker.", min=0
+            "N",
+            "Blink the laser by the code of this number, any one: a scene's at the start, a real one by --blinker. "
+            "`calibrate sync` wants the same.",
+            min=0,
         ),
     ] = None,
     blinker: Annotated[

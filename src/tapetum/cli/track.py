@@ -82,7 +82,7 @@ def track(
     systematic: Systematic = _USUAL,
     stream: Annotated[str, option("NAME", "Which stream of a recording.")] = _PROBE,
     seconds: Annotated[
-        float | None, option("S", "Track so long; else to the end, or of a camera to Ctrl-C.", min=0.01)
+        float | None, option("S", "Stop after so many seconds; else at the end, of a camera by Ctrl-C.", min=0.01)
     ] = None,
     unit: WhoseIntervals = None,
     device: Device = _AUTO,

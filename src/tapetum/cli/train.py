@@ -45,16 +45,18 @@ def train(
             show_default=False,
         ),
     ] = None,
-    epochs: Annotated[int | None, option("N", "networks: passes over the images.", min=1)] = None,
+    epochs: Annotated[int | None, option("N", "networks: passes over the images (12).", min=1)] = None,
     patience: Annotated[
         int | None, option("N", "networks: stop after N epochs without a better held-out error.", min=1)
     ] = None,
-    crop: Annotated[int | None, option("PX", "networks: side of what it looks at.", min=16)] = None,
-    size: Annotated[int | None, option("PX", "networks: side it is reduced to.", min=16)] = None,
+    crop: Annotated[int | None, option("PX", "networks: side of what it looks at (288).", min=16)] = None,
+    size: Annotated[int | None, option("PX", "networks: side it is reduced to (96).", min=16)] = None,
     background: Annotated[
-        str | None, option("HOW", "networks: take the background off before the root (level) or after (root).")
+        str | None, option("HOW", "networks: take the background off before the root (level, usual) or after (root).")
     ] = None,
-    gain: Annotated[float | None, option("X", "networks: how far brightness is varied, in parts of e.", min=0)] = None,
+    gain: Annotated[
+        float | None, option("X", "networks: inputs are multiplied by exp(u), u at random up to this (0.1).", min=0)
+    ] = None,
     interpolate: Annotated[
         bool,
         typer.Option(

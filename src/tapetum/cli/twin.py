@@ -39,8 +39,12 @@ def twin(
             "SHARE", "Accuracy of the simulation, in fractions of the peak; by default the scene's.", min=1e-5, max=0.5
         ),
     ] = None,
-    roll: Annotated[bool, typer.Option("--roll", help="The camera turns about its axis, as in a hand.")] = False,
-    unevenness: Annotated[float, option("SHARE", "RMS of the pixels' relative sensitivities.", min=0, max=0.9)] = 0.0,
+    roll: Annotated[
+        bool, typer.Option("--roll", help="Fit each frame's roll too: the camera turns about its axis, as in a hand.")
+    ] = False,
+    unevenness: Annotated[
+        float, option("SHARE", "RMS of the relative sensitivities of the probe's pixels.", min=0, max=0.9)
+    ] = 0.0,
     seed: Seed = SEED,
     changes: Changes = None,
     as_json: AsJson = False,

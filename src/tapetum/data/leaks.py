@@ -68,7 +68,7 @@ __all__ = ["Leak", "find_leaks", "score_leaks"]
 
 ROUNDS = 199
 _EFFECT, _EFFECT_OF_NEIGHBOURS = 0.1, 0.5
-_FEW_SHIFTS = "chance has only some {} independent shifts of so slow a label: record longer or more often"
+_FEW_SHIFTS = "the label is so slow that only some {} shifts of it are independent, too few to judge: record longer"
 _FEWEST_TRAIN, _FEWEST_TEST = 30, 10
 
 Frames = NDArray[np.int64]

@@ -52,8 +52,12 @@ class Event:
 
     Parameters
     ----------
-    id, type, kind
-        Of the camera's stay; "new", "update" or "end"; one of `KINDS`.
+    id
+        Of the camera's stay, the same for all its events; "source" for those of the source.
+    type
+        "new", "update" or "end" of that stay.
+    kind
+        What happened: one of `KINDS`.
     utc_ns
         When the frame was taken that showed it; of a shutter that opened, the first that showed it open.
     detail

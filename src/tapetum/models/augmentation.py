@@ -24,8 +24,8 @@ class Augmentation:
     Parameters
     ----------
     gain
-        The image is multiplied by exp(u), u uniform in -gain ... gain. An image is the root of the intensity less the
-        root of its background, so the intensity changes by exp(2 u).
+        The image is multiplied by exp(u), u uniform in -gain ... gain. An image is the root of the intensity above its
+        background, so the intensity changes by exp(2 u).
     shift
         Largest sub-pixel shift along each axis in pixels of the network's input, as large as the centring error.
     noise
