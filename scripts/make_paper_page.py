@@ -2,9 +2,9 @@
 
     .venv/bin/python scripts/make_paper_page.py [DIR …]
 
-DIR: folders that `tapetum paper` has written; of their figures 4 to 8 the pages are copied to docs/includes and the
-pictures to docs/images, table1.json to docs/numbers/table1-SIZE.json, and the lines of sealed.jsonl are added to
-docs/numbers. What networks had measured before is made of docs/numbers/learned-0.1.0.json.
+DIR: folders that `tapetum paper` has written; of their figures 4 to 10 and ablations the pages are copied to docs/includes
+and the pictures to docs/images, table1.json to docs/numbers/table1-SIZE.json, and the lines of
+sealed.jsonl are added to docs/numbers. What networks had measured before is made of docs/numbers/learned-0.1.0.json.
 """
 
 from __future__ import annotations
@@ -26,17 +26,18 @@ from tapetum.files import atomic_file
 
 ROOT = Path(__file__).parents[1]
 NUMBERS, INCLUDES, IMAGES = (ROOT / "docs" / name for name in ("numbers", "includes", "images"))
-SIMULATED = ("fig4", "fig5", "fig6", "fig7", "fig8")
+PAGES = ("fig4", "fig5", "fig6", "fig7", "fig8", "fig9", "fig10", "ablations")
 SIZES = ("laptop", "paper")
 _UNITS = {"fraction of the field": ""}
 
 
 def main(folders: list[str]) -> None:
     for folder in map(Path, folders):
-        for name in SIMULATED:
+        for name in PAGES:
             if (page := folder / f"{name}.md").exists():
                 _write(INCLUDES / f"{name}.md", included(name, page.read_text(encoding="utf-8")))
-                shutil.copyfile(folder / f"{name}.png", IMAGES / f"{name}.png")
+            if (picture := folder / f"{name}.png").exists():
+                shutil.copyfile(picture, IMAGES / f"{name}.png")
         if (table := folder / "table1.json").exists():
             _keep_table(table)
         if (results := folder / RESULTS).exists():
@@ -72,8 +73,8 @@ def included(name: str, page: str) -> str:
     version, day = importlib.metadata.version("tapetum"), dt.datetime.now(dt.UTC).date().isoformat()
     heading, rest = page.split("\n\n", 1)
     rest = rest.replace(f"({name}.png)", f"(images/{name}.png)")
-    # Where the size says how many samples are taken, the page is to be made at the paper's.
-    size = " --size paper" if name in ("fig7", "fig8") else ""
+    # Where the size says how much is computed, the page is to be made at the paper's.
+    size = "" if name in ("fig4", "fig5", "fig6") else " --size paper"
     made_by = f"    tapetum paper {name}{size} -o figures\n\nMeasured with Tapetum {version} on {day}.\n\n"
     return f"#{heading}\n\n{made_by}{rest}"
 

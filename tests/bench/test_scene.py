@@ -6,6 +6,7 @@ import copy
 import dataclasses
 import json
 import math
+import re
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -305,3 +306,20 @@ def test_each_mode_carries_its_radius_curvature_and_irradiance(
     assert light.curvature(4.0) == curvature
     assert light.spread(2.0, 4.0) == nearer
     assert light.follows_distance == (curvature == 0.25)
+
+
+def test_a_truth_is_no_number() -> None:
+    """Pydantic takes true for 1: a sensor of one bit was filmed."""
+    for changes, told in (
+        ({"probe.sensor.bits": True}, "probe.sensor.bits: must be a number, is true"),
+        ({"probe.sensor.pixels": [True, 64]}, "probe.sensor.pixels.0: must be a number, is true"),
+    ):
+        with pytest.raises(InputError, match=re.escape(told)):
+            with_values(load_scene("thin-lens"), changes)
+    assert not with_values(load_scene("phones"), {"sampling.rim_light": False}).sampling.rim_light
+
+
+def test_the_probes_lens_has_one_focal_length() -> None:
+    """Its glass was taken, and pictures did not know of it."""
+    with pytest.raises(InputError, match=r"probe: the probe's lens has one focal length.*leave lens\.glass out"):
+        with_values(load_scene("thin-lens"), {"probe.lens.glass": "N-SF11"})

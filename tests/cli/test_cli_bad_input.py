@@ -104,7 +104,7 @@ def test_no_such_scene(run, tmp_path: Path) -> None:
 
 def test_a_length_that_is_no_number(run, tmp_path: Path) -> None:
     ran = run("record", "hand-held", "-o", tmp_path / "x.rec", "--seconds", "inf")
-    assert ran.code == 2 and "--seconds: must be finite" in ran.complaint
+    assert ran.code == 2 and "--seconds" in ran.complaint
 
 
 def test_track_an_empty_folder(run, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -97,3 +98,24 @@ def test_a_scene_stands_where_a_model_does(run, tmp_path: Path, monkeypatch: pyt
     ):
         ran = run(*words)
         assert ran.code == 2 and told in ran.complaint
+
+
+def test_a_models_own_file_is_no_output(run, chain, tmp_path: Path) -> None:
+    """Numbers were written over the model's card."""
+    model = tmp_path / "model"
+    shutil.copytree(chain.model, model)
+    before = (model / "model.json").read_bytes()
+    ran = run("evaluate", model, chain.dataset, "-o", model / "model.json", "--overwrite")
+    assert ran.code == 2 and "is a part of" in ran.complaint and (model / "model.json").read_bytes() == before
+
+
+def test_a_card_edited_by_hand(run, chain, tmp_path: Path) -> None:
+    model = tmp_path / "model"
+    for key, value in (("units", 5), ("chosen", [1])):
+        shutil.copytree(chain.model, model)
+        card = json.loads((model / "model.json").read_text())
+        card["training"] = {**(card.get("training") or {}), key: value}
+        (model / "model.json").write_text(json.dumps(card))
+        ran = run("evaluate", model, chain.dataset)
+        assert ran.code == 2 and f"training.{key}" in ran.complaint
+        shutil.rmtree(model)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -120,3 +123,32 @@ def test_batches_are_cut_from_what_is_read_at_once() -> None:
         batches = list(image_batches(dataset, size))
         assert [len(one) for one in batches] == [size] * (11 // size) + ([11 % size] if 11 % size else [])
         np.testing.assert_array_equal(np.concatenate(batches), images)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"full_scale": math.inf}, "full_scale: must be positive and finite"),
+        ({"full_scale": -1.0}, "full_scale: must be positive and finite"),
+        ({"split": [0.5, 0]}, "split: expected 2 values"),
+        ({"split": [257, 0]}, "split: expected 2 values"),
+        ({"split": ["train", "train"]}, "split: expected 2 values"),
+        ({"recording": [1.2, 1.9]}, "recording: expected 2 values"),
+        ({"targets": {"gaze_x": ["a", "b"]}}, "gaze_x: holds no numbers"),
+        ({"targets": {"image": [1, 2]}}, "image: is the name of a variable"),
+        ({"images": np.zeros((2, 8, 8), complex)}, "images: images of type complex128"),
+    ],
+)
+def test_arrays_that_make_no_set(changes: dict[str, Any], words: str) -> None:
+    usual: dict[str, Any] = {"images": np.zeros((2, 8, 8), np.uint8), "targets": {"gaze_x": [0.0, 0.1]}}
+    given = {**usual, **changes}
+    with pytest.raises(InputError, match=re.escape(words)):
+        dataset_from_arrays(given.pop("images"), given.pop("targets"), **given)
+
+
+def test_only_targets_are_labels() -> None:
+    """A model was trained on the spots' SNR, or stopped in scikit-learn for images."""
+    dataset = dataset_from_arrays(np.zeros((2, 8, 8), np.uint8), {"gaze_x": [0.0, 0.1]})
+    for name in ("image", "recording"):
+        with pytest.raises(InputError, match=f"has no label '{name}'; it has: gaze_x"):
+            dataset.tp.values((name,))

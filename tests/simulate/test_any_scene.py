@@ -424,7 +424,8 @@ def no_constants_of_modules() -> Iterator[None]:
 def test_any_scene_gives_an_image_or_a_refusal() -> None:
     seen = run(50, derandomized=True)
     assert seen["image"] >= 13 and seen["refused"] >= 7
-    assert seen["slow"] <= 5
+    # Through the probe's aperture, where it cuts off rings that count, light takes more samples.
+    assert seen["slow"] <= 6
 
 
 @pytest.mark.slow

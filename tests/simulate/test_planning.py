@@ -75,7 +75,7 @@ def test_every_number_is_its_module_s(name: str) -> None:
     camera = open_camera(bench, sine)
     assert plan.budgets == (link_budget(bench),)
     assert plan.sampling.plan == camera.plan.as_dict() == plan_scene(bench, sine).as_dict()
-    assert plan.sampling.expected_error == camera.plan.expected_error
+    assert plan.sampling.expected_error == camera.metadata()["expected_error"]
     assert plan.sampling.memory_bytes == camera.plan.bytes_needed(1, math.prod(bench.probe.sensor.pixels))
     assert plan.eye.found == eye_safety(beam_of(bench), (bench.distance,))
     told = () if plan.limit is None else plan.limit.parameters

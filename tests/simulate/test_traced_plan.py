@@ -258,7 +258,7 @@ def test_a_scene_is_rendered_with_its_claim() -> None:
     scene = with_values(
         load_scene("thin-lens"),
         {"target.lens": {"kind": "prescription", "name": "phone-d"}, "target.object_distance": math.inf,
-         "sampling.accuracy": 1e-2, "probe.sensor.pixels": [101, 101]},
+         "sampling.accuracy": 1e-2, "sampling.propagation": "far field", "probe.sensor.pixels": [101, 101]},
     )  # fmt: skip
     images = retroreflect(scene, rotation=[0, 2])
     assert images.metadata["expected_error"] <= 1e-2

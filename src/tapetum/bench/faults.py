@@ -13,7 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from tapetum.bench.plain_yaml import field_paths
 from tapetum.errors import InputError
 
-__all__ = ["adapter", "build", "first_fault"]
+__all__ = ["adapter", "build", "first_fault", "refuse_truths"]
 
 T = TypeVar("T")
 
@@ -52,9 +52,28 @@ def build(kind: type[T], content: Mapping[str, Any], where: str, *, unit: float 
     Raises an InputError that names `where`, the field's path, its value and the remedy.
     """
     try:
-        return adapter(kind).validate_python(dict(content), context={"unit": unit})
+        built: T = adapter(kind).validate_python(dict(content), context={"unit": unit})
     except ValidationError as error:
         raise first_fault(error, where, field_paths(kind)) from error
+    refuse_truths(content, built, where)
+    return built
+
+
+def refuse_truths(content: object, built: object, where: str, steps: tuple[str, ...] = ()) -> None:
+    """Refuse true and false where what was built of them is a number: pydantic takes them for 1 and 0.
+
+    Raises an InputError with the path of the first one.
+    """
+    if isinstance(content, bool):
+        if isinstance(built, int | float) and not isinstance(built, bool):
+            place = ": ".join(filter(None, (where, ".".join(steps))))
+            raise InputError(f"must be a number, is {str(content).lower()}", where=place, remedy="give a number")
+    elif isinstance(content, Mapping):
+        for key, value in content.items():
+            refuse_truths(value, getattr(built, str(key), None), where, (*steps, str(key)))
+    elif isinstance(content, list | tuple) and isinstance(built, list | tuple):
+        for number, (value, one) in enumerate(zip(content, built, strict=False)):
+            refuse_truths(value, one, where, (*steps, str(number)))
 
 
 def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, ...]]) -> InputError:

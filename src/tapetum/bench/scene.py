@@ -248,6 +248,12 @@ class Probe:
     sensor: AnySensor = Field(default_factory=ProbeSensor)
     transmission: Annotated[float, Field(gt=0, le=1)] = 0.5
 
+    @model_validator(mode="after")
+    def _is_achromatic(self) -> Probe:
+        if self.lens.glass is not None:
+            raise ValueError("the probe's lens has one focal length for all light; leave lens.glass out")
+        return self
+
 
 @dataclass(frozen=True, config=STRICT)
 class Sampling:
@@ -261,7 +267,9 @@ class Sampling:
         Samples a side set by hand; refused where the field would alias.
     propagation
         From target to probe: `far field` (the aperture passes all returning light), `finite` (over the distance and
-        through the probe's round aperture), or `auto`: finite where the returning beam overfills the aperture.
+        through the probe's round aperture), or `auto`: finite where the returning beam overfills the aperture, or where
+        this cuts off rings that change the picture by more than 0.02 of the peak and more than the accuracy; smaller
+        changes are part of the stated error.
     rim_light
         Of light far out of focus behind a traced lens, most of whose rays miss the probe: whether to keep what the
         pupil's rim sends there. False follows the rays that reach the probe alone, on tens of times fewer samples. The

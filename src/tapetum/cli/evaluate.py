@@ -42,7 +42,7 @@ def evaluate(
     if out is not None and out.suffix.lower() in _FILES:
         remedy = "name a folder for the whole report, or NAME.json for the numbers alone"
         raise InputError(f"unknown kind of report {out.suffix!r}", where=out, remedy=remedy)
-    check_output(out, force, None if numbers_alone else "tapetum-evaluation")
+    check_output(out, force, None if numbers_alone else "tapetum-evaluation", sources=[model, dataset])
     from tapetum.data import open_dataset, split_by
     from tapetum.data.marks import marks_of
     from tapetum.files import atomic_file

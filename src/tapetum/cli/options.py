@@ -23,7 +23,7 @@ WAYS = ("live", "whole")
 """What `--smooth` takes."""
 _SCENES = f"A bundled scene ({', '.join(scene_names())}) or a YAML file."
 _MODELS = "A model's folder, a network exported to NAME.onnx, a twin NAME.yaml, or the bundled thin-lens-gaze"
-_SEED = option("N", f"Seed of everything random; {SEED} by default.", "--seed", min=0)
+_SEED = option("N", f"Seed of everything random; {SEED} by default.", "--seed", min=0, max=2**63 - 1)
 
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help=_SCENES)]
 SetPath = Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")]

@@ -21,6 +21,8 @@ _MARKERS = {
     "store of images": ("zarr.json", "pitch_m"),
 }
 _UNFINISHED = ".tapetum-unfinished"
+# What tells folders whose files are all their own from others.
+_OWN_FILES = ("zarr.json", "recording.json", "model.json")
 
 
 def check_output(
@@ -34,8 +36,14 @@ def check_output(
     if out is None or not (out.exists() or out.is_symlink()):
         return
     for source in map(Path, sources):
-        if source.exists() and source.samefile(out):
+        if not source.exists():
+            continue
+        if source.samefile(out):
             raise InputError("is what is read", where=out, remedy="name another file to write")
+        if source.resolve().is_relative_to(out.resolve()):
+            raise InputError("holds what is read", where=out, remedy="name another folder to write")
+        if out.resolve().is_relative_to(source.resolve()) and any((source / one).is_file() for one in _OWN_FILES):
+            raise InputError(f"is a part of {source}, which is read", where=out, remedy="name another file to write")
     if not force:
         raise InputError("exists already", where=out, remedy="choose another name or pass --overwrite")
     known = not out.is_dir()

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 EVERY = 10.041
 """Seconds from one code of the driver to the next: no whole number of frames, so that flanks fall at all phases."""
+# Seconds between two clocks, at most.
+_MOST_OFFSET = 1e6
 _SOURCE = "A scene for the virtual bench (hand-held, or a YAML file); or the probe's camera:0, video or images."
 
 
@@ -35,10 +37,11 @@ def record(
         str | None, option("SOURCE", "The target's camera:1, video file or folder of images.", "--target-source")
     ] = None,
     seconds: Annotated[
-        float | None, option("S", "Length; 60 for a scene, real sources run to their end or Ctrl-C.", min=0.1)
+        float | None, option("S", "Length; 60 for a scene, real sources run to their end or Ctrl-C.", min=0.1, max=1e6)
     ] = None,
     rate: Annotated[
-        float | None, option("HZ", "Frames a second: of a scene or of images (15), or asked of cameras.", min=0.1)
+        float | None,
+        option("HZ", "Frames a second: of a scene or of images (15), or asked of cameras.", min=0.1, max=1e5),
     ] = None,
     target_rate: Annotated[
         float | None, option("HZ", "Frames a second of the scene's target camera (those of --rate).", min=0.1, max=1000)
@@ -115,7 +118,7 @@ def record(
         where = f"--target-source {target}"
         raise InputError(what, where=where, remedy="give camera:1, a video file or a folder of images")
     if real:
-        check_output(out, force, "tapetum-recording")
+        check_output(out, force, "tapetum-recording", sources=[source, *filter(None, [target])])
         recording = _capture(source, target, out, seconds, rate, force, clocks)
     else:
         scene = _scene(source, changes)
@@ -244,6 +247,9 @@ def _clocks(
         except ValueError as error:
             what, _, remedy = str(error).partition("; ")
             raise InputError(what, where="--offset", remedy=remedy or None) from error
+        if not abs(seconds) <= _MOST_OFFSET:
+            what = f"{offset} is no difference of two clocks"
+            raise InputError(what, where="--offset", remedy=f"give at most {_MOST_OFFSET:.0g} s")
     code = None
     if blink is not None:
         from tapetum.record import BlinkCode

@@ -201,5 +201,7 @@ def _say(image: Image, scene: Scene, out: Path) -> str:
         told = f"their area would change it by {change:.2g} of the peak" if math.isfinite(change) else ""
         points = f"; pixels count as points, {told or 'too far apart to show its fringes'}: see probe.sensor.fill"
     note = image.metadata["propagation"].removeprefix("far field").strip("; ")
+    if image.metadata["cut_by_aperture"] > max(asked, error / 2):
+        note = "mostly of rings that the probe's aperture cuts off, which sampling.propagation=finite computes"
     plural = "image" if count == 1 else "images"
     return f"{out}: {count} {plural} of {columns} x {rows} pixels, {claim}{points}" + (f" ({note})" if note else "")

@@ -7,6 +7,7 @@ accessor offers stands beside the format that it reads.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -199,26 +200,31 @@ def dataset_from_arrays(
     count = len(array) if array.ndim else 0
     if array.ndim != 3 or array.shape[1] != array.shape[2] or not count:
         raise InputError(f"expected square crops [N, side, side], got shape {array.shape}", where="images")
+    if array.dtype.kind not in "uif":
+        raise InputError(f"images of type {array.dtype} are not grey levels", where="images", remedy="give numbers")
     if full_scale is None and array.dtype != np.uint8:
         what = f"the depth of {array.dtype} images cannot be known"
         raise InputError(what, where="images", remedy="pass full_scale")
+    if full_scale is not None and not 0 < full_scale < math.inf:
+        raise InputError(f"must be positive and finite, is {full_scale}", where="full_scale")
     columns: dict[str, xr.Variable] = {}
     for name, values in targets.items():
+        if name in _NEEDED:
+            raise InputError("is the name of a variable that every set has", where=name, remedy="name the label else")
         if name == DEVICE:
             names = np.asarray(values).ravel()
             if len(names) != count or names.dtype.kind not in "UO":
                 raise InputError(f"expected {count} names, got shape {names.shape}", where=name)
             columns[name] = class_variable([str(one) for one in names])
             continue
+        if np.asarray(values).dtype.kind not in "buif":
+            raise InputError("holds no numbers", where=name, remedy=f"give {count} numbers; names are {DEVICE!r} alone")
         column = np.asarray(values, dtype=np.float32)
         if column.shape != (count,) or not np.isfinite(column).all():
             raise InputError(f"expected {count} finite values, got shape {column.shape}", where=name)
         columns[name] = xr.Variable(("frame",), column, {"units": QUANTITIES.get(name, "1")})
-    parts = np.zeros(count, np.int8) if split is None else np.asarray(split).astype(np.int8)
-    videos = np.zeros(count, np.int32) if recording is None else np.asarray(recording).astype(np.int32)
-    if {parts.shape, videos.shape} != {(count,)} or not np.isin(parts, (TRAIN, TEST, EMBARGO)).all():
-        what = f"expected {count} values, split of 0 (train), 1 (test) or 2 (neither)"
-        raise InputError(what, where="split, recording")
+    parts = _whole(split, count, np.int8, "split", "0 (train), 1 (test) or 2 (neither)", (TRAIN, TEST, EMBARGO))
+    videos = _whole(recording, count, np.int32, "recording", "numbers of recordings")
     variables = {
         "image": xr.Variable(("frame", "y", "x"), array, {"units": "count"}),
         **columns,
@@ -228,6 +234,24 @@ def dataset_from_arrays(
     scale = 255.0 if full_scale is None else float(full_scale)
     attributes = {"format": FORMAT, "version": VERSION, "full_scale": scale, "targets": list(columns)}
     return xr.Dataset(variables, attrs=attributes)
+
+
+def _whole(
+    values: ArrayLike | None,
+    count: int,
+    kind: type[np.int8] | type[np.int32],
+    where: str,
+    told: str,
+    allowed: Sequence[int] | None = None,
+) -> NDArray[Any]:
+    """Whole numbers [N], zeros by default; InputError for others."""
+    if values is None:
+        return np.zeros(count, kind)
+    array = np.asarray(values)
+    fits = array.shape == (count,) and array.dtype.kind in "buif" and bool((array == np.floor(array)).all())
+    if not fits or not (np.abs(array) <= np.iinfo(kind).max).all() or not np.isin(array, allowed or array).all():
+        raise InputError(f"expected {count} values, {told}", where=where)
+    return array.astype(kind)
 
 
 def open_dataset(path: str | Path) -> xr.Dataset:
@@ -282,7 +306,7 @@ def _check_format(attributes: Mapping[str, Any], address: str) -> None:
         what = f"is not a Tapetum dataset (format {attributes.get('format')!r})"
         raise InputError(what, where=address, remedy=_BUILT)
     version = attributes.get("version")
-    if not isinstance(version, int) or version > VERSION:
+    if isinstance(version, bool) or not isinstance(version, int) or not 1 <= version <= VERSION:
         what = f"has version {version!r} of the format, this Tapetum reads up to {VERSION}"
         raise InputError(what, where=address, remedy="update Tapetum")
     try:
@@ -296,6 +320,12 @@ def _faults(dataset: xr.Dataset, group: zarr.Group, targets: Sequence[str], *, c
     found = []
     if missing := [name for name in (*_NEEDED, *targets) if name not in dataset]:
         found.append(f"lacks {', '.join(missing)}")
+    if "split" in dataset and not np.isin(dataset["split"].values, (TRAIN, TEST, EMBARGO)).all():
+        found.append("split holds other numbers than 0, 1 and 2")
+    for name in targets:
+        spread = dataset.get(name + STD)
+        if spread is not None and bool((np.asarray(spread.values) < 0).any()):
+            found.append(f"{name}{STD} holds negative deviations")
     for name in (*((DEVICE,) if DEVICE in targets else ()), UNIT):
         if name not in dataset:
             continue
@@ -419,7 +449,7 @@ class DatasetAccessor:
     def values(self, names: tuple[str, ...]) -> NDArray[np.float64]:
         """Return labels as [N, len(names)]; raise an InputError when one is missing."""
         for name in names:
-            if name not in self._dataset:
+            if name not in self.targets:
                 have = ", ".join(self.targets) or "none"
                 raise InputError(f"has no label {name!r}", where=self.source, remedy=f"it has: {have}")
         return np.stack([np.asarray(self._dataset[n].values, dtype=np.float64) for n in names], axis=1)

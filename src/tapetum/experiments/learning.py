@@ -110,7 +110,8 @@ def fig9(work: Workshop) -> tuple[Figure, dict[str, Any]]:
     )
     error = np.hypot(*(said - truth).T)
     told = score(outcome)
-    numbers = {**told["gaze"], "guess": told.get("baseline_gaze"), "worst": float(error.max())}
+    held = [told["targets"][axis]["coverage"] for axis in ("gaze_x", "gaze_y")]
+    numbers = {**told["gaze"], "guess": told.get("baseline_gaze"), "worst": float(error.max()), "coverage": held}
     return figure, {"frames": len(outcome), **numbers}
 
 

@@ -67,6 +67,11 @@ class _Weights(Checked):
     precision: Literal["half", "full"]
 
 
+class _Training(Checked):
+    units: list[str] | None = None
+    chosen: dict[str, Any] | None = None
+
+
 class _Card(Checked):
     kind: str
     targets: Annotated[list[Named], Field(min_length=1)]
@@ -79,7 +84,7 @@ class _Card(Checked):
     weights: _Weights
     # Cards of version 1 may lack both.
     classes: Annotated[list[Named], Field(default_factory=list)]
-    training: dict[str, Any] | None = None
+    training: _Training | None = None
 
 
 _PARAMETERS: dict[str, type[_Parameters]] = {"zernike": _Zernike, **dict.fromkeys(ARCHITECTURES, _Network)}

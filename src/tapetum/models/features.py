@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -47,9 +48,9 @@ def as_images(
             remedy = "pass full_scale, for example 4095 for a 12-bit camera"
             raise InputError(f"the depth of {array.dtype} images cannot be known", where=where, remedy=remedy)
         full_scale = 255.0
-    if not full_scale > 0:
+    if not 0 < full_scale < math.inf:
         remedy = "give the largest count of a pixel"
-        raise InputError(f"must be positive, is {full_scale}", where="full_scale", remedy=remedy)
+        raise InputError(f"must be positive and finite, is {full_scale}", where="full_scale", remedy=remedy)
     return array, float(full_scale)
 
 

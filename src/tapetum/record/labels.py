@@ -234,9 +234,9 @@ def label_recording(
     found, exposures = [one.found for one in sights], np.array([one.exposure for one in sights])
     place, quality = follow(source.times, found)
     good = quality >= GOOD
-    if good.sum() < max(1, FEW * len(good)):
+    if good.sum() < max(2, FEW * len(good)):
         raise NoLaserError(
-            f"no laser spot found (in {good.sum()} of {len(good)} frames)",
+            f"{'too few laser spots' if good.any() else 'no laser spot'} found (in {good.sum()} of {len(good)} frames)",
             where=recording.video(target),
             remedy="aim the laser at the target's lens, or expose the target so that the spot stands out",
         )

@@ -16,6 +16,10 @@ __all__ = ["Hand", "HandMotion", "ProbeShake", "Waves"]
 Array = npt.NDArray[np.float64]
 
 
+# Metres that a body walks away at most.
+_FARTHEST = 1e4
+
+
 @dataclass(frozen=True)
 class HandMotion:
     """Spectrum and extent of a hand-held camera's motion. Its parts are independent of each other; bands are in Hz.
@@ -63,6 +67,9 @@ class HandMotion:
                 raise InputError(f"must not be negative, is {value}", where=f"motion.{name}", remedy="give SI numbers")
         if self.walk is not None and min(self.walk) <= 0:
             raise InputError(f"must be positive, is {self.walk}", where="motion.walk", remedy="give two distances")
+        if self.walk is not None and max(self.walk) > _FARTHEST:
+            remedy = f"give two distances of at most {_FARTHEST:.0f} m"
+            raise InputError(f"leads too far, is {self.walk}", where="motion.walk", remedy=remedy)
 
     def draw(self, seed: int, distance: float = 1.0, seconds: float = 60.0) -> Hand:
         """Return one motion, determined by the seed; without a walk (over `seconds`) it stays at `distance` metres."""

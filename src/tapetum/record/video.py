@@ -77,6 +77,9 @@ class VideoWriter:
             raise InputError(f"size must be positive, is {self.size}", where=self.path)
         if not 0 < rate < 1e5:
             raise InputError(f"rate must be positive, is {rate}", where=self.path, remedy="give frames per second")
+        if min(self.size) < 2:
+            what = f"frames of {self.size[1]} x {self.size[0]} pixels cannot be kept as FFV1"
+            raise InputError(what, where=self.path, remedy="give them sides of two pixels and more")
         full_scale = full_scale_of(self.dtype) if full_scale is None else int(full_scale)
         if not 0 < full_scale <= full_scale_of(self.dtype):
             raise InputError(f"full scale {full_scale} does not fit {self.dtype}", where=self.path)

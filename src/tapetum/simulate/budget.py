@@ -242,7 +242,6 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     f = focal_length_at(target.lens.focal_length, target.lens.glass, target.lens.design_wavelength, wavelength)
     # The sensor is in focus at the design wavelength.
     z, _ = lens_numbers(target.lens.focal_length, target.object_distance)
-    f_p = focal_length_at(probe.lens.focal_length, probe.lens.glass, probe.lens.design_wavelength, wavelength)
     lit = beam_radius(scene)
     irradiance = irradiance_at_target(scene) * watts / light.power
     sine = math.hypot(*(math.sin(angle) for angle in target.rotation))
@@ -255,7 +254,14 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
 
     def reflection(name: str, depth: float, reflectance: float, transmittance: float) -> Reflection:
         geometry = DoublePassGeometry(
-            wavelength, target.lens.aperture_radius, f, z - depth, f_p, 0.0, sine, illumination_curvature(scene)
+            wavelength,
+            target.lens.aperture_radius,
+            f,
+            z - depth,
+            probe.lens.focal_length,
+            0.0,
+            sine,
+            illumination_curvature(scene),
         )
         held = 1.0
         if name == "sensor":

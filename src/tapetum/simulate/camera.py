@@ -22,7 +22,7 @@ from tapetum.optics.sampling import Plan
 from tapetum.simulate.diffuse import ScatteredLight
 from tapetum.simulate.foreshortening import cosines, off_axis, turned
 from tapetum.simulate.gaze import spot_places
-from tapetum.simulate.light import directions, wavelengths
+from tapetum.simulate.light import directions, shortest, wavelengths
 from tapetum.simulate.line import Line, as_many, line_of
 from tapetum.simulate.pixel_area import PixelArea
 from tapetum.simulate.pupil_fits import PupilFits
@@ -49,6 +49,10 @@ _AS_WIDE = 0.75
 # Largest radius of a traced lens's exit pupil over that of its entrance pupil, and of a return at the probe over that
 # by rays and the first dark ring.
 _EXIT_PUPIL, _SPREAD = 1.3, 1.5
+
+# Change by the probe's aperture under a tilt, over that head on, at most; and a change that is stated rather than
+# computed, which takes tens of times as long.
+_UNDER_TILTS, _LITTLE_CUT = 1.5, 0.02
 
 
 class Camera:
@@ -116,7 +120,7 @@ class Camera:
             scalar(focal_length, target.lens.focal_length),
             scalar(object_distance, target.object_distance),
             scalar(distance, scene.distance),
-            directions(light, light.wavelength / (2 * target.lens.aperture_radius)),
+            directions(light, shortest(light) / (2 * target.lens.aperture_radius)),
             scene.sampling.accuracy if accuracy is None else accuracy,
             pictures,
             dtype,
@@ -125,7 +129,6 @@ class Camera:
         optics.check()
         self._optics, self._steepest = optics, steepest
         self._return_radius = optics.widest_return()
-        finite = self._is_finite()
         self._like: Camera | None = None
         # Lines that were planned for more pixels.
         self._wider: list[Line] | None = None
@@ -142,11 +145,11 @@ class Camera:
             if like is None or like._optics.lens is None:
                 lens = TracedLens(scene, at, steepest)
                 self._return_radius = max(self._return_radius, lens.return_radius)
-                finite = self._is_finite()
             else:
                 self._like, lens = like, like._optics.lens.set_to(scene, at)
-                self._return_radius, finite = like._return_radius, like.finite
+                self._return_radius = like._return_radius
             optics = replace(optics, lens=lens)
+        finite = self._is_finite() if self._like is None else self._like.finite
         self._optics = replace(optics, finite=finite)
         self._set_to_pixels()
 
@@ -184,9 +187,12 @@ class Camera:
 
     @cached_property
     def _lines(self) -> list[Line]:
-        light, first = self.scene.illumination, self.geometry
-        rings = first.exit_angle / (light.wavelength / (2 * first.radius)) + _RINGS_SHOWN
-        lines = wavelengths(light, rings, longest_path(self.scene))
+        light, lens, width = self.scene.illumination, self._optics.lens, 2 * self.geometry.radius
+        angle = max(
+            self._optics.picture_angle(self.area.samples, self._steepest), 0.0 if lens is None else lens.exit_angle
+        )
+        spread = width * angle + _RINGS_SHOWN * max(self._optics.wavelengths)
+        lines = wavelengths(light, spread, longest_path(self.scene), self.accuracy)
         if self._wider is not None:
             before = {line.wavelength: line for line in self._wider}
             likes = [before.get(length) for length, _ in lines]
@@ -217,7 +223,17 @@ class Camera:
         if wanted != "auto":
             return wanted == "finite"
         # Glints spread far beyond any probe.
-        return glinting(self.scene) > 0 or self._return_radius > self.scene.probe.lens.aperture_radius
+        if glinting(self.scene) > 0 or self._return_radius > self.scene.probe.lens.aperture_radius:
+            return True
+        if _UNDER_TILTS * self._cut <= max(self._optics.accuracy, _LITTLE_CUT):
+            return False
+        # Of a thin lens the aperture's samples may be too many: then the cut is stated.
+        return self.scene.target.lens.kind != "thin" or self._optics.reaches_aperture(self.output)
+
+    @cached_property
+    def _cut(self) -> float:
+        """How much the probe's aperture, which the return fits through by rays, changes a head-on picture."""
+        return self._optics.cut_by_probe(self.output)
 
     @property
     def sampled(self) -> int:
@@ -371,17 +387,23 @@ class Camera:
         return self.area.means(total)
 
     def _left_out(self) -> float:
-        """Error of a thin lens's passes at any sampling, over the peak."""
+        """Error of the passes at any sampling, over the peak: of an aperture that is left out, and of a thin lens."""
+        left_out = self._cut_off()
         if self._optics.lens is not None:
-            return 0.0
+            return left_out
         geometries, sensor = [line.geometry for line in self._lines], self.scene.target.sensor
         tilt = max(math.hypot(*one.tilt) for one in (sensor, *sensor.layers))
-        missed = of_narrow_beam(geometries, beam_radius(self.scene), self._steepest)
+        missed = left_out + of_narrow_beam(geometries, beam_radius(self.scene), self._steepest)
         missed += of_tilted_planes(geometries, tilt, self._steepest)
         if self.finite:
             probe_radius = self.scene.probe.lens.aperture_radius
             missed += of_the_way(geometries, self._optics.away, probe_radius, self._steepest)
         return missed
+
+    def _cut_off(self) -> float:
+        """What the probe's aperture would change of a picture that is computed without it, at most, over the peak."""
+        chosen = self.scene.sampling.propagation == "auto" and not self.finite
+        return _UNDER_TILTS * self._cut if chosen else 0.0
 
     def _note_fading(self, line: Line, sines: torch.Tensor) -> None:
         """Keep how much more than planned the peaks of a thin lens's gazes fade behind tilted mirrors."""
@@ -470,6 +492,8 @@ class Camera:
             "beam_radius_at_target": beam_radius(scene),
             "return_radius_at_probe": returning,
             "propagation": way,
+            # What the probe's aperture would change, where `auto` leaves it out: a part of the error.
+            "cut_by_aperture": self._cut_off(),
             # Whether no plane's picture lacks what the pupil's rim sends, see `bench.Sampling`.
             "rim_light": all(plan.rim_light for plan in self._plans if isinstance(plan, TracedPlan)),
             "wavelengths": [line.wavelength for line in self._lines],

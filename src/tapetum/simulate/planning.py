@@ -262,6 +262,10 @@ def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
         reason += "; sampling.propagation asks for it"
     elif returning <= aperture and glinting(scene):
         reason += "; the glints of the lens's surfaces overfill it"
+    elif returning <= aperture and str(known["propagation"]).startswith("finite"):
+        reason += ", which cuts off rings that count"
+    if cut := float(known["cut_by_aperture"]):
+        reason += f"; the error is mostly rings that it cuts off, {cut:.1g}" if cut > error / 2 else ""
     return SamplingChoice(
         plan=plan.as_dict(),
         expected_error=error,

@@ -72,7 +72,7 @@ def specular_groups(
     """
     planes = sorted(_planes(scene, wavelength, image_distance, widest), key=lambda plane: plane.nearer)
     planes = [plane for plane in planes if plane.orders]
-    parts = _chains([plane.nearer for plane in planes], reach_of_interference(scene.illumination))
+    parts = _chains([plane.nearer for plane in planes], reach_of_interference(scene.illumination, wavelength))
     chains = [planes[part] for part in parts]
     k = 2 * math.pi / wavelength
     return [
@@ -96,8 +96,10 @@ def specular_groups(
 def longest_path(scene: Scene) -> float:
     """The largest difference of paths between planes that are summed as fields, in metres."""
     nearer = [0.0, *sorted(layer.index * layer.depth for layer in scene.target.sensor.layers)]
-    chains = [nearer[part] for part in _chains(nearer, reach_of_interference(scene.illumination))]
-    return max(2 * (chain[-1] - chain[0]) for chain in chains)
+    light = scene.illumination
+    lines = (light.wavelength, *(line.wavelength for line in light.lines))
+    reach = max(reach_of_interference(light, wavelength) for wavelength in lines)
+    return max(2 * (nearer[part][-1] - nearer[part][0]) for part in _chains(nearer, reach))
 
 
 def _chains(nearer: Sequence[float], reach: float) -> list[slice]:

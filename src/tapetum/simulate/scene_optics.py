@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -13,7 +14,8 @@ from tapetum.bench import Scene
 from tapetum.errors import InputError
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import Grid, lens_numbers
-from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.optics.sampling import DoublePassGeometry, aperture_samples, check_aperture
+from tapetum.simulate.aperture_cut import cut_by_aperture
 from tapetum.simulate.radiometry import beam_radius, illumination_curvature, return_radius_by_rays
 from tapetum.simulate.reflections import mirrors, scatterers
 from tapetum.simulate.sensor_edge import SensorEdge
@@ -156,6 +158,30 @@ class SceneOptics:
             for z, _ in mirrors(scene, wavelength, float(self.z.detach())):
                 widest = max(widest, ring + return_radius_by_rays(radius, focal, z, curvature, self.away))
         return widest
+
+    def cut_by_probe(self, output: Grid) -> float:
+        """How much the probe's aperture changes head-on pictures of any plane and line, in fractions of their peaks.
+
+        Of returns that fit through it by rays: it cuts off their rings.
+        """
+        probe_radius, worst = self.scene.probe.lens.aperture_radius, 0.0
+        for wavelength in self.wavelengths:
+            g = self.geometry(output, wavelength, 0.0)
+            for z, _ in mirrors(self.scene, wavelength, g.image_distance):
+                worst = max(worst, cut_by_aperture(replace(g, image_distance=z), self.away, probe_radius))
+        return worst
+
+    def reaches_aperture(self, output: Grid) -> bool:
+        """Whether light behind a thin lens can be computed in the probe's aperture."""
+        at = [self.geometry(output, wavelength, 0.0) for wavelength in self.wavelengths]
+        try:
+            for one in at:
+                check_aperture(
+                    partial(aperture_samples, one, self.away), self.away, self.scene.probe.lens.aperture_radius
+                )
+        except InputError:
+            return False
+        return True
 
     def picture_angle(self, output: Grid, steepest: float) -> float:
         """Half-angle of the widest picture of all returns behind a thin lens, by rays, in radians."""

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
 
-from tapetum.bench.faults import first_fault
+from tapetum.bench.faults import first_fault, refuse_truths
 from tapetum.bench.plain_yaml import field_paths, read_mapping
 from tapetum.bench.quantity import to_si
 from tapetum.bench.strict import STRICT, Share
@@ -244,9 +244,11 @@ def _adapter() -> TypeAdapter[ImportMapping]:
 def mapping_from_dict(content: Mapping[str, Any], where: str = "mapping") -> ImportMapping:
     """Build a mapping from nested values as read from YAML; an InputError names `where` and the field's path."""
     try:
-        return _adapter().validate_python(dict(content))
+        mapping = _adapter().validate_python(dict(content))
     except ValidationError as error:
         raise first_fault(error, where, tuple(field_paths(ImportMapping))) from error
+    refuse_truths(content, mapping, where)
+    return mapping
 
 
 def load_mapping(path: str | os.PathLike[str]) -> ImportMapping:
