@@ -62,7 +62,8 @@ def test_bundled_scenes_as_json(run, scene: str) -> None:
     assert list(told) == KEYS and told["scene"] == scene
     known = load_scene(scene, SMALL[1::2])
     assert told["link_budget"] == [json.loads(json.dumps(link_budget(known).as_dict()))]
-    assert told["sampling"]["expected_error"] == 0.01 and told["sampling"]["propagation"].startswith("far field")
+    # The sampling's, and that of rings that the probe's aperture cuts off.
+    assert 0.02 < told["sampling"]["expected_error"] < 0.03 and told["sampling"]["propagation"].startswith("far field")
     assert told["limit"]["parameters"] == NAMES
     assert list(told["limit"]["bounds"]) == list(told["limit"]["alone"]) == list(told["limit"]["units"]) == NAMES
     found = fisher(known, NAMES)

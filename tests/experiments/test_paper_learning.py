@@ -400,7 +400,7 @@ def test_a_page_says_where_a_network_is_no_better_than_the_mean():
             key: [scale * one for one in value] if isinstance(value, list) else scale * value
             for key, value in guess.items()
         }
-        return {"frames": 40, **own, "guess": guess, "worst": 0.7}
+        return {"frames": 40, **own, "guess": guess, "worst": 0.7, "coverage": [0.9, 0.9]}
 
     for scale, words in ((1.02, "worse than"), (0.95, "hardly better than"), (0.1, "better than")):
         assert f"**{words} the training mean**" in " ".join(render("fig9", numbers(scale)).split())
