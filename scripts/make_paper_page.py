@@ -2,8 +2,8 @@
 
     .venv/bin/python scripts/make_paper_page.py [DIR …]
 
-DIR: folders that `tapetum paper` has written; of their figures 4 to 10 and ablations the pages are copied to docs/includes
-and the pictures to docs/images, table1.json to docs/numbers/table1-SIZE.json, and the lines of
+DIR: folders that `tapetum paper` has written; of their figures 4 to 10 and ablations the pages are copied to
+docs/includes and the pictures to docs/images, table1.json to docs/numbers/table1-SIZE.json, and the lines of
 sealed.jsonl are added to docs/numbers. What networks had measured before is made of docs/numbers/learned-0.1.0.json.
 """
 
