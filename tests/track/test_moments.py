@@ -118,7 +118,8 @@ def test_a_camera_is_tracked_as_a_file_is(tmp_path: Path, monkeypatch: pytest.Mo
     assert abs(table["utc_ns"][0].as_py() - time.time_ns()) < 60e9
     assert np.diff(table["utc_ns"].to_numpy()).min() > 0
     # More of them where this machine is slower than the camera.
-    assert f"{sum(table['lost'].to_pylist())} frames lost" in capsys.readouterr().out
+    lost = sum(table["lost"].to_pylist())
+    assert f"{lost} frame{'' if lost == 1 else 's'} lost" in capsys.readouterr().out
     assert made[0].closed
 
 

@@ -449,7 +449,7 @@ class DatasetAccessor:
     def values(self, names: tuple[str, ...]) -> NDArray[np.float64]:
         """Return labels as [N, len(names)]; raise an InputError when one is missing."""
         for name in names:
-            if name not in self.targets:
+            if name not in self.targets or name not in self._dataset:
                 have = ", ".join(self.targets) or "none"
                 raise InputError(f"has no label {name!r}", where=self.source, remedy=f"it has: {have}")
         return np.stack([np.asarray(self._dataset[n].values, dtype=np.float64) for n in names], axis=1)
