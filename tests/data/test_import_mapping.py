@@ -100,3 +100,9 @@ def test_the_mappings_of_the_documentation_are_read():
     assert len(blocks) == 3
     for block in blocks:
         mapping_from_text(block, "importing.md")
+
+
+@pytest.mark.parametrize(("old", "new"), [("size: 640", "size: true"), ("    labels:", "    rate: true\n    labels:")])
+def test_a_truth_is_no_number(tmp_path: Path, old: str, new: str):
+    with pytest.raises(InputError, match="must be a number, is true"):
+        loaded(tmp_path, GOOD.replace(old, new))

@@ -16,8 +16,6 @@ __all__ = ["detect"]
 
 # As many finds, each with at most so many expected false alarms a frame, are said to be doubtful.
 _MANY, _RARE = 6, 0.01
-# Levels at which types of pixels end, where a file says nothing of its own.
-_UNSTATED = {255, 65535}
 
 
 def detect(
@@ -54,23 +52,19 @@ def detect(
         raise InputError("is the table too", where="--picture", remedy="name another file")
     if dark is not None and lit.exists() and dark.exists() and lit.samefile(dark):
         raise InputError("is LIT itself", where="--dark", remedy="give the picture with the light off, or leave it out")
-    import numpy as np
-
     from tapetum.detection import find_cameras
     from tapetum.record.images import read_image
+    from tapetum.record.source import full_scale_of
     from tapetum.track.tables import checked_suffix, table_writer
 
     checked_suffix(out)
     read = [read_image(path, colour=True) for path in inputs]
-    pictures, stated = [image for image, _ in read], {scale for _, scale in read}
-    scale = None
-    if not stated <= _UNSTATED:
-        # A PGM says at which level it saturates.
-        pictures = [image.astype(np.float32) * np.float32(255 / level) for image, level in read]
-        scale = 255.0
-    elif len({image.dtype for image in pictures}) > 1:
+    pictures = [image for image, _ in read]
+    # A PGM says at which level it saturates.
+    scales = [None if level == full_scale_of(image.dtype) else level for image, level in read]
+    if len({image.dtype for image in pictures}) > 1:
         typer.echo("note: LIT and DARK differ in their bits; each is scaled by its own", err=True)
-    wanted: Any = {"false_alarms": false_alarms, "largest": largest, "channel": channel, "full_scale": scale}
+    wanted: Any = {"false_alarms": false_alarms, "largest": largest, "channel": channel, "full_scale": scales}
     try:
         found = find_cameras(*pictures, **wanted)
     except InputError as error:

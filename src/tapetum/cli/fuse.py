@@ -9,12 +9,9 @@ from typing import Annotated
 
 import typer
 
-from tapetum.cli.options import WAYS, AsJson, Force, Smooth, Systematic, TracksOut, option
+from tapetum.cli.options import SYSTEMATIC, AsJson, Force, Smooth, Systematic, TracksOut, check_smoothing, option
 from tapetum.cli.outputs import check_output
-from tapetum.errors import InputError, one_of
-
-# Share of the intervals' width that smoothing leaves.
-_USUAL = 1.0
+from tapetum.errors import InputError
 
 
 def fuse(
@@ -50,7 +47,7 @@ def fuse(
         float, option("R", "Correlation of two probes' errors; 1 is always safe.", min=0.0, max=1.0)
     ] = 0.5,
     smooth: Smooth = None,
-    systematic: Systematic = _USUAL,
+    systematic: Systematic = SYSTEMATIC,
     max_gap: Annotated[
         float | None, option("SECONDS", "Longest gap that is bridged; three frames by default.", min=0.0)
     ] = None,
@@ -62,8 +59,7 @@ def fuse(
     The gaze is given as the first probe sees it. Where two probes contradict each other (chi-square test, 1 in 1000)
     the interval spans both; of three or more the odd one is left out.
     """
-    if smooth is not None:
-        one_of(smooth, WAYS, "--smooth")
+    check_smoothing(smooth, systematic)
     if len(tables) < 2:
         raise InputError("a single probe cannot be fused", where=tables[0], remedy="give the tracks of two or more")
     if any(one.resolve() == out.resolve() for one in tables):
@@ -71,8 +67,6 @@ def fuse(
     for n, one in enumerate(tables):
         if any(one.exists() and other.exists() and one.samefile(other) for other in tables[:n]):
             raise InputError("is given twice: it would count as two probes", where=one, remedy="name each table once")
-    if smooth is None and systematic != _USUAL:
-        raise InputError("is of smoothing", where="--systematic", remedy="add --smooth, or leave it out")
     check_output(out, force)
     from tapetum.track.fuse import Places, fuse_tracks
     from tapetum.track.smooth import smooth_tracks

@@ -11,7 +11,7 @@ from typer.core import TyperCommand
 
 from tapetum.bench import scene_names
 from tapetum.defaults import SEED
-from tapetum.errors import InputError
+from tapetum.errors import InputError, one_of
 
 
 def option(metavar: str, told: str, *spellings: str, **limits: Any) -> Any:
@@ -21,6 +21,8 @@ def option(metavar: str, told: str, *spellings: str, **limits: Any) -> Any:
 
 WAYS = ("live", "whole")
 """What `--smooth` takes."""
+SYSTEMATIC = 1.0
+"""What `--systematic` is by default."""
 _SCENES = f"A bundled scene ({', '.join(scene_names())}) or a YAML file."
 _MODELS = "A model's folder, a network exported to NAME.onnx, a twin NAME.yaml, or the bundled thin-lens-gaze"
 _SEED = option("N", f"Seed of everything random; {SEED} by default.", "--seed", min=0, max=2**63 - 1)
@@ -102,3 +104,11 @@ def film_count(processes: str | None) -> int | None:
     if count != "auto":
         return count
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def check_smoothing(smooth: str | None, systematic: float) -> None:
+    """Refuse an unknown way to smooth, and `--systematic` without one."""
+    if smooth is not None:
+        one_of(smooth, WAYS, "--smooth")
+    elif systematic != SYSTEMATIC:
+        raise InputError("is of smoothing", where="--systematic", remedy="add --smooth, or leave it out")

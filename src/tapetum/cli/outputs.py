@@ -21,8 +21,6 @@ _MARKERS = {
     "store of images": ("zarr.json", "pitch_m"),
 }
 _UNFINISHED = ".tapetum-unfinished"
-# What tells folders whose files are all their own from others.
-_OWN_FILES = ("zarr.json", "recording.json", "model.json")
 
 
 def check_output(
@@ -42,7 +40,9 @@ def check_output(
             raise InputError("is what is read", where=out, remedy="name another file to write")
         if source.resolve().is_relative_to(out.resolve()):
             raise InputError("holds what is read", where=out, remedy="name another folder to write")
-        if out.resolve().is_relative_to(source.resolve()) and any((source / one).is_file() for one in _OWN_FILES):
+        if out.resolve().is_relative_to(source.resolve()) and any(
+            (source / marker).is_file() for marker, _ in _MARKERS.values()
+        ):
             raise InputError(f"is a part of {source}, which is read", where=out, remedy="name another file to write")
     if not force:
         raise InputError("exists already", where=out, remedy="choose another name or pass --overwrite")

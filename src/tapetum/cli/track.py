@@ -12,7 +12,7 @@ import typer
 
 from tapetum.cli.models import find_model, warn_of_intervals
 from tapetum.cli.options import (
-    WAYS,
+    SYSTEMATIC,
     AsJson,
     Device,
     Force,
@@ -21,6 +21,7 @@ from tapetum.cli.options import (
     Systematic,
     TracksOut,
     WhoseIntervals,
+    check_smoothing,
     option,
 )
 from tapetum.cli.outputs import check_output, says_what_is_kept
@@ -30,7 +31,7 @@ from tapetum.progress import bar
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_PROBE, _AUTO, _USUAL = "probe", "auto", 1.0
+_PROBE, _AUTO = "probe", "auto"
 
 
 def track(
@@ -79,7 +80,7 @@ def track(
         ),
     ] = False,
     smooth: Smooth = None,
-    systematic: Systematic = _USUAL,
+    systematic: Systematic = SYSTEMATIC,
     stream: Annotated[str, option("NAME", "Which stream of a recording.")] = _PROBE,
     seconds: Annotated[
         float | None, option("S", "Stop after so many seconds; else at the end, of a camera by Ctrl-C.", min=0.01)
@@ -97,10 +98,7 @@ def track(
         raise InputError("is of the detector of cameras", where="--false-alarms-per-frame", remedy="--detector cameras")
     if detections is not None and detections.resolve() == out.resolve():
         raise InputError("is the file of the tracks too", where="--detections", remedy="name another file")
-    if smooth is not None:
-        one_of(smooth, WAYS, "--smooth")
-    elif systematic != _USUAL:
-        raise InputError("is of smoothing", where="--systematic", remedy="add --smooth, or leave it out")
+    check_smoothing(smooth, systematic)
     for path in (out, detections):
         check_output(path, force, sources=[source])
     from tapetum.track.detector import DETECTORS

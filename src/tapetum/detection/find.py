@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ def find_cameras(
     most: int | None = None,
     channel: str = "mean",
     swaps: bool = True,
-    full_scale: float | None = None,
+    full_scale: float | Sequence[float | None] | None = None,
 ) -> Found:
     """Find cameras, and other optics that look at the probe, in one frame or in a lit and a dark one.
 
@@ -94,7 +95,7 @@ def find_cameras(
     swaps
         Whether to look, where nothing is likely in a pair, if the two are swapped. It takes half the time again.
     full_scale
-        Level at which pixels of both saturate. Default: 255, of uint16 what `depth_of` finds in the two together.
+        Level at which pixels saturate, of both or of each. None: 255, of uint16 what `depth_of` finds in the two.
 
     Returns
     -------
@@ -122,18 +123,19 @@ def find_cameras(
         raise InputError(f"must be positive, is {largest}", where="largest", remedy="give a diameter in pixels")
     if most is not None and not (isinstance(most, int) and most >= 1):
         raise InputError(f"must be a whole number from 1, is {most!r}", where="most")
-    if full_scale is not None and not 0 < full_scale < math.inf:
+    frames = {"lit": lit} if dark is None else {"lit": lit, "dark": dark}
+    given = list(full_scale) if isinstance(full_scale, Sequence) else [full_scale] * len(frames)
+    if len(given) != len(frames) or not all(one is None or 0 < one < math.inf for one in given):
         raise InputError(f"must be positive, is {full_scale}", where="full_scale", remedy="255 is usual")
     one_of(channel, CHANNELS, "channel")
-    frames = {"lit": lit} if dark is None else {"lit": lit, "dark": dark}
-    arrays = [_checked(image, name, full_scale) for name, image in frames.items()]
+    arrays = [_checked(image, name, own) for (name, image), own in zip(frames.items(), given, strict=True)]
     if channel != CHANNELS[0] and (
         name := next((n for n, one in zip(frames, arrays, strict=True) if one.ndim == 2), "")
     ):
         raise InputError(f"is grey: it has no channel {channel!r}", where=name, remedy="leave channel out")
     wide = [one for one in arrays if one.dtype == np.uint16]
     depth = depth_of(*wide) if wide else FULL
-    scales = [full_scale or (depth if one.dtype == np.uint16 else FULL) for one in arrays]
+    scales = [own or (depth if one.dtype == np.uint16 else FULL) for one, own in zip(arrays, given, strict=True)]
     grey = [_levels(one, channel, scale) for one, scale in zip(arrays, scales, strict=True)]
     first, second = grey[0], grey[1] if len(grey) > 1 else None
     score = load_score(pair=second is not None)

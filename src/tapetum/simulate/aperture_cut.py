@@ -1,13 +1,13 @@
 """What the probe's aperture cuts off a return that fits through it by rays: rings and edge waves, and their picture.
 
-Head on everything is round. The wave that leaves the target, of radius ρ and curvature κ, meets the probe's aperture R
-at the distance d as
+Head on everything is round, and the double pass of a thin lens and a mirror is a chain of Hankel transforms: from the
+pupil to the spot on the sensor, back to the pupil, over the distance to the aperture R, and to the direction q that a
+probe focused at infinity looks in. Its last two,
 
-    u(X) = k/d exp(ikX²/2d) ∫_0^ρ exp(ik(1/d - κ)x²/2) J0(kxX/d) x dx
+    u(X) = k/d exp(ikX²/2d) ∫_0^r E(x) exp(ikx²/2d) J0(kxX/d) x dx     and     ∫_0^R u(X) J0(kqX) X dX
 
-and a probe that is focused at infinity sees ∫_0^R u(X) J0(kqX) X dX in the direction q; without the aperture it sees
-∫_0^ρ exp(-ikκx²/2) J0(kqx) x dx. Both are summed, and compared over the picture. That the sensor's spot is cut off by
-nothing but the target's lens is neglected.
+are compared with ∫_0^r E(x) J0(kqx) x dx, which has no aperture. Under a tilt light leaves by the part of the lens that
+the returning beam meets; a smaller round pupil, as wide as it is along the tilt, stands for it.
 """
 
 # SciPy and NumPy type these functions in part only.
@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -25,19 +26,56 @@ from scipy.special import j0
 
 from tapetum.optics.sampling import DoublePassGeometry
 
-__all__ = ["cut_by_aperture"]
+__all__ = ["cut_by_aperture", "cut_up_to"]
 
-# Directions for each ring, rings beyond the rays, and nodes for each turn of the phase and besides.
-_FOR_A_RING, _RINGS, _FOR_A_TURN, _MORE = 4, 6, 2.2, 24
+# Directions for each ring, rings beyond the rays in the picture and on the sensor, nodes for each turn of the phase and
+# besides.
+_FOR_A_RING, _RINGS, _ON_SENSOR, _FOR_A_TURN, _MORE = 4, 6, 6, 2.2, 24
 # Nodes of one Gauss-Legendre rule, and most products of nodes that are summed.
 _RULE, _MOST = 64, 1e7
-# Least radius of the returning wave, over the target's: where all rays return through one point.
-_LEAST = 1e-3
+# Tilts that are tried, and the narrowest pupil over the lens's radius: beyond, hardly any light returns. A pupil that
+# is as good as whole, and the least of the aperture's radius that is left beside the light.
+_TILTS, _NARROWEST, _WHOLE, _NEAREST = 6, 0.05, 0.98, 0.3
 
 _Real = npt.NDArray[np.float64]
 
 
-@functools.lru_cache(maxsize=256)
+def cut_up_to(geometry: DoublePassGeometry, distance: float, probe_radius: float, steepest: float) -> float:
+    """The largest change of a picture by the probe's aperture, head on and up to a tilt, in fractions of its own peak.
+
+    Parameters
+    ----------
+    geometry, distance, probe_radius
+        As for `cut_by_aperture`.
+    steepest
+        Sine of the steepest tilt.
+
+    Notes
+    -----
+    Tilts in between are tried too, for waves from the aperture's edges meet in step or not. What leaves beside the
+    pupil's middle also lands beside the aperture's, and is nearer to its edge by as much. Of tilts that leave less than
+    a twentieth of the pupil's width nothing is said.
+    """
+    g, radius = geometry, geometry.radius
+    slope = 1 / g.focal_length - g.curvature
+    gain = 1 - 2 * g.image_distance * slope
+    back = min(radius, g.lit_radius) * abs(gain)
+    # Where rays from beside the middle land, over where they leave.
+    lands = abs(1 - distance * (slope + gain / g.focal_length) / math.copysign(max(abs(gain), _NARROWEST), gain))
+    worst = 0.0
+    for shift in np.linspace(
+        0, 2 * g.image_distance * math.tan(math.asin(steepest)), _TILTS if steepest else 1
+    ).tolist():
+        low, high = max(shift - back, -radius), min(shift + back, radius)
+        half, middle = (high - low) / 2, (high + low) / 2
+        if shift and half < _NARROWEST * radius:
+            break
+        one = replace(g, radius=half, lit_radius=half) if half < _WHOLE * min(back, radius) else g
+        worst = max(worst, cut_by_aperture(one, distance, max(probe_radius - middle * lands, _NEAREST * probe_radius)))
+    return worst
+
+
+@functools.lru_cache(maxsize=1024)
 def cut_by_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> float:
     """The largest change of a head-on picture by the probe's aperture, in fractions of the peak.
 
@@ -51,33 +89,38 @@ def cut_by_aperture(geometry: DoublePassGeometry, distance: float, probe_radius:
     Returns
     -------
     float
-        Within a factor of two of what pictures with and without the aperture differ by, head on and under tilts. Where
-        the sums would be too long (a near probe with a wide aperture) a bound, of waves from the aperture's edge.
+        Exact for a thin lens and a mirror. Where the sums would be too long (a near probe with a wide aperture) a
+        bound, of waves from the aperture's edge.
     """
-    k, f, z = 2 * math.pi / geometry.wavelength, geometry.focal_length, geometry.image_distance
-    slope = 1 / f - geometry.curvature
-    gain = 1 - 2 * z * slope
-    gain = math.copysign(max(abs(gain), _LEAST), gain)
-    # A ray that entered at x returns at gain·x, with the slope -slope·x, and the lens bends it once more.
-    radius = min(geometry.radius, min(geometry.radius, geometry.lit_radius) * abs(gain))
-    bend = (slope + gain / f) / gain
-    ring = geometry.wavelength / (2 * radius)
-    widest = abs(bend) * radius + _RINGS * ring
+    g, k = geometry, 2 * math.pi / geometry.wavelength
+    radius, lit, z = g.radius, min(g.radius, g.lit_radius), g.image_distance
+    bent_in, bent_out = 1 / z - 1 / g.focal_length + g.curvature, 1 / z - 1 / g.focal_length
+    ring = g.wavelength / (2 * radius)
+    widest = g.exit_angle + _RINGS * ring
     meets = k * radius * probe_radius / distance
+    # What meets the aperture's edge comes from as many rings of the spot as lie between it and the axis.
+    rays = abs(bent_in) * z * lit
+    spot = rays + _ON_SENSOR * (1 + meets / (2 * math.pi)) * g.wavelength * z / (2 * lit)
     # Phases as if they grew everywhere as fast as at the ends.
-    x = _nodes(radius, k * radius**2 * (abs(bend) + 1 / distance) + meets)
-    beyond = _nodes(probe_radius, k * probe_radius**2 / distance + meets + k * probe_radius * widest)
+    into = _nodes(lit, k * lit * (abs(bent_in) * lit + spot / z))
+    on = _nodes(spot, k * spot * (2 * spot + lit + radius) / z)
+    out = _nodes(radius, k * radius * (abs(bent_out) * radius + radius / distance + spot / z + widest) + meets)
+    beyond = _nodes(probe_radius, k * probe_radius * (probe_radius / distance + widest) + meets)
     q = np.linspace(0, widest, math.ceil(_FOR_A_RING * widest / ring) + 1)
-    if len(beyond[0]) * max(len(x[0]), len(q)) > _MOST:
-        return min(
-            1.0, 4 * math.sqrt(2 / (math.pi * meets)) * (1 / meets + abs(bend) * distance * radius / probe_radius)
-        )
-    (at, weight), (place, share) = x, beyond
-    wave = np.exp(-0.5j * k * bend * at**2) * at * weight
-    whole = j0(k * np.outer(q, at)) @ wave
-    met = j0(k / distance * np.outer(place, at)) @ (wave * np.exp(0.5j * k * at**2 / distance))
+    chain = [len(one[0]) for one in (into, on, out, beyond)]
+    if max(a * b for a, b in zip(chain, [*chain[1:], len(q)], strict=True)) > _MOST:
+        bend = g.exit_angle / radius
+        return min(1.0, 4 * math.sqrt(2 / (math.pi * meets)) * (1 / meets + bend * distance * radius / probe_radius))
+    x, v, y, place = (nodes for nodes, _ in (into, on, out, beyond))
+    wave = np.exp(0.5j * k * bent_in * x**2) * x * into[1]
+    wave = (j0(k / z * np.outer(v, x)) @ wave) * np.exp(1j * k * v**2 / z) * v * on[1]
+    # The window on the sensor fades out, so that it has no edge of its own.
+    wave = wave * np.cos(math.pi / 2 * np.clip(2 * (v - rays) / (spot - rays) - 1, 0, 1)) ** 2
+    wave = (j0(k / z * np.outer(y, v)) @ wave) * np.exp(0.5j * k * bent_out * y**2) * y * out[1]
+    whole = j0(k * np.outer(q, y)) @ wave
+    met = j0(k / distance * np.outer(place, y)) @ (wave * np.exp(0.5j * k * y**2 / distance))
     met = k / distance * np.exp(0.5j * k * place**2 / distance) * met
-    cut = j0(k * np.outer(q, place)) @ (met * place * share)
+    cut = j0(k * np.outer(q, place)) @ (met * place * beyond[1])
     seen, left = np.abs(whole) ** 2, np.abs(cut) ** 2
     return float(np.abs(seen - left).max() / max(seen.max(), left.max()))
 

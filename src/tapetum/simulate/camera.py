@@ -50,9 +50,9 @@ _AS_WIDE = 0.75
 # by rays and the first dark ring.
 _EXIT_PUPIL, _SPREAD = 1.3, 1.5
 
-# Change by the probe's aperture under a tilt, over that head on, at most; and a change that is stated rather than
-# computed, which takes tens of times as long.
-_UNDER_TILTS, _LITTLE_CUT = 1.5, 0.02
+# Change by the probe's aperture over that of the round pupils that stand for tilted ones; and a change head on that is
+# stated rather than computed, which takes tens of times as long.
+_SAFETY, _LITTLE_CUT = 1.5, 0.02
 
 
 class Camera:
@@ -225,15 +225,10 @@ class Camera:
         # Glints spread far beyond any probe.
         if glinting(self.scene) > 0 or self._return_radius > self.scene.probe.lens.aperture_radius:
             return True
-        if _UNDER_TILTS * self._cut <= max(self._optics.accuracy, _LITTLE_CUT):
+        if _SAFETY * self._optics.cut_by_probe(self.output, 0.0) <= max(self._optics.accuracy, _LITTLE_CUT):
             return False
         # Of a thin lens the aperture's samples may be too many: then the cut is stated.
         return self.scene.target.lens.kind != "thin" or self._optics.reaches_aperture(self.output)
-
-    @cached_property
-    def _cut(self) -> float:
-        """How much the probe's aperture, which the return fits through by rays, changes a head-on picture."""
-        return self._optics.cut_by_probe(self.output)
 
     @property
     def sampled(self) -> int:
@@ -388,7 +383,7 @@ class Camera:
 
     def _left_out(self) -> float:
         """Error of the passes at any sampling, over the peak: of an aperture that is left out, and of a thin lens."""
-        left_out = self._cut_off()
+        left_out = self._cut_off
         if self._optics.lens is not None:
             return left_out
         geometries, sensor = [line.geometry for line in self._lines], self.scene.target.sensor
@@ -400,10 +395,12 @@ class Camera:
             missed += of_the_way(geometries, self._optics.away, probe_radius, self._steepest)
         return missed
 
+    @cached_property
     def _cut_off(self) -> float:
         """What the probe's aperture would change of a picture that is computed without it, at most, over the peak."""
-        chosen = self.scene.sampling.propagation == "auto" and not self.finite
-        return _UNDER_TILTS * self._cut if chosen else 0.0
+        if self.scene.sampling.propagation != "auto" or self.finite:
+            return 0.0
+        return _SAFETY * self._optics.cut_by_probe(self.output, self._steepest)
 
     def _note_fading(self, line: Line, sines: torch.Tensor) -> None:
         """Keep how much more than planned the peaks of a thin lens's gazes fade behind tilted mirrors."""
@@ -466,7 +463,7 @@ class Camera:
         sides = ((output.rows, self.output.rows), (output.columns, self.output.columns))
         held = output.pitch == self.output.pitch and all(least * wide <= own <= wide for own, wide in sides)
         other._wider = self.__dict__.get("_lines") if held and self._optics.lens is not None else None
-        for planned in ("_lines", "plan"):
+        for planned in ("_lines", "plan", "_cut_off"):
             other.__dict__.pop(planned, None)
         other.output, other._edge_error, other._faded = output, 0.0, 1.0
         other._set_to_pixels()
@@ -493,7 +490,7 @@ class Camera:
             "return_radius_at_probe": returning,
             "propagation": way,
             # What the probe's aperture would change, where `auto` leaves it out: a part of the error.
-            "cut_by_aperture": self._cut_off(),
+            "cut_by_aperture": self._cut_off,
             # Whether no plane's picture lacks what the pupil's rim sends, see `bench.Sampling`.
             "rim_light": all(plan.rim_light for plan in self._plans if isinstance(plan, TracedPlan)),
             "wavelengths": [line.wavelength for line in self._lines],

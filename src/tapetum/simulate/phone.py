@@ -154,10 +154,11 @@ class PhoneCamera:
     def metadata(self) -> dict[str, Any]:
         """Of the first camera, with the places of all, and whether all have the light of their rims."""
         each = [camera.metadata() for camera, _ in self.units]
-        error = self.plan.expected_error + max(camera.area.error for camera, _ in self.units)
+        cut = max(one["cut_by_aperture"] for one in each)
+        error = self.plan.expected_error + max(camera.area.error for camera, _ in self.units) + cut
         whole = all(one["rim_light"] for one in each)
         places = [unit.place for _, unit in self.units]
-        return {**each[0], "expected_error": error, "rim_light": whole, "cameras": places}
+        return {**each[0], "expected_error": error, "cut_by_aperture": cut, "rim_light": whole, "cameras": places}
 
 
 def open_camera(scene: Scene, steepest: float, **options: Any) -> Camera | PhoneCamera:

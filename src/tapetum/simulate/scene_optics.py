@@ -15,7 +15,7 @@ from tapetum.errors import InputError
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import Grid, lens_numbers
 from tapetum.optics.sampling import DoublePassGeometry, aperture_samples, check_aperture
-from tapetum.simulate.aperture_cut import cut_by_aperture
+from tapetum.simulate.aperture_cut import cut_up_to
 from tapetum.simulate.radiometry import beam_radius, illumination_curvature, return_radius_by_rays
 from tapetum.simulate.reflections import mirrors, scatterers
 from tapetum.simulate.sensor_edge import SensorEdge
@@ -159,16 +159,16 @@ class SceneOptics:
                 widest = max(widest, ring + return_radius_by_rays(radius, focal, z, curvature, self.away))
         return widest
 
-    def cut_by_probe(self, output: Grid) -> float:
-        """How much the probe's aperture changes head-on pictures of any plane and line, in fractions of their peaks.
+    def cut_by_probe(self, output: Grid, steepest: float) -> float:
+        """How much the probe's aperture changes pictures of any plane and line up to a tilt, over their peaks.
 
         Of returns that fit through it by rays: it cuts off their rings.
         """
         probe_radius, worst = self.scene.probe.lens.aperture_radius, 0.0
         for wavelength in self.wavelengths:
-            g = self.geometry(output, wavelength, 0.0)
+            g = replace(self.geometry(output, wavelength, 0.0), window=0.0)
             for z, _ in mirrors(self.scene, wavelength, g.image_distance):
-                worst = max(worst, cut_by_aperture(replace(g, image_distance=z), self.away, probe_radius))
+                worst = max(worst, cut_up_to(replace(g, image_distance=z), self.away, probe_radius, steepest))
         return worst
 
     def reaches_aperture(self, output: Grid) -> bool:
