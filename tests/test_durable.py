@@ -254,3 +254,29 @@ def test_other_threads_keep_their_permissions(tmp_path: Path) -> None:
 def test_a_name_says_whose_it_is(tmp_path: Path) -> None:
     name = part_name(tmp_path / "a.zarr", end=".part").name
     assert name.startswith(".a.zarr-") and f"-{os.getpid()}-" in name and name.endswith(".part")
+
+
+LONG = """
+    import signal, sys, time, types
+    {before}
+    command = types.ModuleType("tapetum.cli.app")
+    command.main = lambda: (print("ready", flush=True), time.sleep({seconds}))[1] or 0
+    sys.modules["tapetum.cli.app"] = command
+    from tapetum.__main__ import main
+    sys.exit(main())
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
+def test_a_scheduler_and_a_closing_terminal_end_a_command_as_ctrl_c_does(tmp_path: Path) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        process = started(LONG.format(before="", seconds=60), tmp_path)
+        process.send_signal(number)
+        assert process.wait(20) == 130
+        assert process.stdout is not None
+        process.stdout.close()
+    # As `nohup` has it.
+    process = started(LONG.format(before="signal.signal(signal.SIGHUP, signal.SIG_IGN)", seconds=1), tmp_path)
+    process.send_signal(signal.SIGHUP)
+    assert process.wait(20) == 0 and process.stdout is not None
+    process.stdout.close()

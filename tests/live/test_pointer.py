@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +103,18 @@ def test_gazes_that_fix_no_map_are_refused(points: list[tuple[float, float]]) ->
     made = [Fix(*mark, *gaze, 0.001) for mark, gaze in zip(marks, points, strict=False)]
     with pytest.raises(InputError, match=r"calibration: .*;"):
         fit(SCREEN, made)
+
+
+@pytest.mark.parametrize("marks", [4, 9])
+def test_marks_that_contradict_one_another_are_refused(marks: int) -> None:
+    """As where somebody looked at other places than those shown."""
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        made = fixes(marks, rng, 0.002)
+        gazes = rng.uniform(-0.3, 0.3, (marks, 2)).tolist()
+        wander = [replace(one, gaze_x=x, gaze_y=y) for one, (x, y) in zip(made, gazes, strict=True)]
+        with pytest.raises(InputError, match=r"contradict one another: each lies some \d+ pixels"):
+            fit(SCREEN, wander)
 
 
 def person(

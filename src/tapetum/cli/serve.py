@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import socket
 import threading
 import webbrowser
@@ -250,10 +249,5 @@ def _run(app: Doors, bound: socket.socket, token: str | None, doing: str, browse
     )
     server = uvicorn.Server(settings)
     # uvicorn raises the signal again when it is done, which is no fault here.
-    kept = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         server.run(sockets=[bound])
-    except KeyboardInterrupt:
-        pass
-    finally:
-        signal.signal(signal.SIGTERM, kept)

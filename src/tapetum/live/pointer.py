@@ -213,7 +213,8 @@ def fit(screen: Screen, fixes: Sequence[Fix], utc_ns: int = 0) -> Calibration:
     Raises
     ------
     InputError
-        For fewer than three marks, and where the gaze hardly changed between them or along a line only.
+        For fewer than three marks, where the gaze hardly changed between them or along a line only, and where most
+        marks lie farther from where the others put them than half their RMS distance from the middle of all.
     """
     if len(fixes) < _LEAST:
         raise InputError(f"has {len(fixes)} marks", where="calibration", remedy=f"look at {_LEAST} or more")
@@ -233,6 +234,11 @@ def fit(screen: Screen, fixes: Sequence[Fix], utc_ns: int = 0) -> Calibration:
         Fix(one.x, one.y, one.gaze_x, one.gaze_y, one.std, error) for one, error in zip(fixes, errors, strict=True)
     )
     known = [error for error in errors if error is not None]
+    # Of marks looked at by chance most lie farther from where the others put them than half of this.
+    away = float(np.sqrt(((marks - marks.mean(0)) ** 2).sum(axis=1).mean()))
+    if known and (typical := float(np.median(known))) > away / 2:
+        what = f"the marks contradict one another: each lies some {typical:.0f} pixels from where the others put it"
+        raise InputError(what, where="calibration", remedy="calibrate again, and look at each mark while it is shown")
     error = math.sqrt(float(np.mean(np.square(known)))) if known else None
     rows = tuple((float(a), float(b), float(c)) for a, b, c in matrix)
     return Calibration(screen, rows, told, error, None if error is None else screen.degrees(error), utc_ns=utc_ns)
