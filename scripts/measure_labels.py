@@ -126,7 +126,7 @@ def labels_of_spots(take: Filmed) -> tuple[Array, Array]:
     """The smoother's places [T, 2] and deviations [T, 2]."""
     samples = Samples(take.rows, take.places, np.full(len(take.rows), NOISE), EXPOSURE)
     found = smooth(samples, take.probe, take.rate)
-    return found.places, found.deviations[:, None] + np.zeros(2)
+    return found.places, found.deviations
 
 
 def labels_of_film(hand: HandMotion, seed: int, rate: float, seconds: float) -> tuple[Array, Array, Array]:

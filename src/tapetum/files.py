@@ -15,7 +15,16 @@ from pathlib import Path
 from tapetum.durable import clean_leftovers, exchange, part_name, sole_writer, sync, sync_tree
 from tapetum.errors import InputError
 
-__all__ = ["atomic_file", "atomic_folder", "free_name", "read_text", "replace_folder", "sha256_file", "told_when_full"]
+__all__ = [
+    "atomic_file",
+    "atomic_folder",
+    "free_name",
+    "read_text",
+    "replace_folder",
+    "reserved",
+    "sha256_file",
+    "told_when_full",
+]
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -99,6 +108,22 @@ def _parents(target: Path) -> Iterator[None]:
             with contextlib.suppress(OSError):  # something else is in it by now
                 folder.rmdir()
         raise
+
+
+@contextlib.contextmanager
+def reserved(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make the folder above `path`, and let no other command write `path` meanwhile (`durable.sole_writer`).
+
+    Raises
+    ------
+    InputError
+        When another command is writing it, or nothing may be written there.
+    """
+    with contextlib.ExitStack() as held:
+        with told_when_full(path):
+            Path(path).absolute().parent.mkdir(parents=True, exist_ok=True)
+            held.enter_context(sole_writer(path))
+        yield
 
 
 @contextlib.contextmanager

@@ -117,7 +117,9 @@ def test_a_folder_that_was_being_filled_is_filled_on(run, tmp_path: Path, monkey
     monkeypatch.setattr(writing, "render", lambda name, numbers: f"# {name}\n")
     monkeypatch.setitem(writing._MAKERS, "fig4", maker(None))
     monkeypatch.setitem(writing._MAKERS, "fig5", maker(KeyboardInterrupt()))
-    assert run("paper", "fig4", "fig5", "-o", tmp_path / "o").code == 130
+    ran = run("paper", "fig4", "fig5", "-o", tmp_path / "o")
+    assert ran.code == 130
+    assert ran.complaint == f"interrupted: what is done is kept in {tmp_path / 'o'}, and the same command goes on"
     assert (tmp_path / "o" / "fig4.md").exists()
     monkeypatch.setitem(writing._MAKERS, "fig5", maker(None))
     assert run("paper", "fig4", "fig5", "-o", tmp_path / "o").code == 0

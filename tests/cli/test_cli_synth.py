@@ -59,7 +59,7 @@ def test_an_interruption_says_how_to_go_on(run, tmp_path: Path, monkeypatch: pyt
         pressed.setattr("tapetum.cli.dataset.bar", stop)
         ran = run("dataset", "synth", "rotation", "-o", out)
     assert ran.code == 130
-    assert ran.complaint == "interrupted: what is done is kept, and the same command carries on"
+    assert ran.complaint == f"interrupted: what is done is kept in {out}.part, and the same command carries on"
     other = run("dataset", "synth", "rotation", "-o", out, "--seed", 2)
     assert other.code == 2 and "was begun with seed 1, not 2" in other.complaint
     assert run("dataset", "synth", "rotation", "-o", out).code == 0

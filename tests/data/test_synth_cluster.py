@@ -142,9 +142,13 @@ def test_when_all_processes_die_what_is_done_is_kept(alone: str, tmp_path: Path)
 def test_a_process_that_fails_says_why(tmp_path: Path):
     plan = little_plan(2)
     staging = Staging.begin(tmp_path / "set.zarr", plan)
-    missing = Part(99, 0, 10**6, 10**6 + 1)
     (staging.path / "done").rmdir()
     (staging.path / "done").write_text("")
+    with pytest.raises(InputError, match="is a file, not a folder; choose another path"):
+        list(parts_by_processes(plan, staging, [plan.parts[0]], 1))
     with pytest.raises(TapetumError, match="a process that films failed: "):
-        list(parts_by_processes(plan, staging, [plan.parts[0], missing], 1))
-    assert workers() == []
+        list(parts_by_processes(plan, staging, [Part(99, 10**6, 0, 1)], 1))
+    staging.remove()
+    with pytest.raises(InputError, match=r"set\.zarr\.part: has been removed while it was written"):
+        list(parts_by_processes(plan, staging, [plan.parts[0]], 1))
+    assert workers() == [] and not list(tmp_path.iterdir())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,9 +15,9 @@ from tapetum.cli.options import Device, Force, SeedIfGiven, option
 from tapetum.cli.outputs import check_output
 from tapetum.cli.train import save_evaluation, say_epoch
 from tapetum.defaults import SEED
-from tapetum.durable import sole_writer
+from tapetum.durable import clean_leftovers, part_name
 from tapetum.errors import InputError, StoppedError, one_of
-from tapetum.files import told_when_full
+from tapetum.files import reserved, told_when_full
 from tapetum.progress import bar
 
 if TYPE_CHECKING:
@@ -83,11 +83,9 @@ def adapt(
         remedy = "give a network that `tapetum train` saved as a folder, or the bundled thin-lens-gaze"
         raise InputError(f"is no network that can be trained further ({base.kind})", where=model, remedy=remedy)
     _check_label(label, base, model)
-    with _opened(film, base.crop) as data:
+    with _opened(film, base.crop, out) as data:
         data = data if unit is None else of_unit(data, unit)
-        with told_when_full(out):
-            out.absolute().parent.mkdir(parents=True, exist_ok=True)
-        with sole_writer(out):
+        with reserved(out):
             done: list[EpochReport] = []
 
             def told(report: EpochReport) -> None:
@@ -125,19 +123,29 @@ def _check_label(label: str | None, base: NetworkEstimator, name: str) -> None:
 
 
 @contextlib.contextmanager
-def _opened(film: Path, side: int) -> Iterator[xr.Dataset]:
-    """Open a dataset, or cut one from a labelled recording, which lasts as long as the block."""
+def _opened(film: Path, side: int, out: Path) -> Iterator[xr.Dataset]:
+    """Open a dataset, or cut one from a labelled recording, hidden beside `out`, which lasts as long as the block."""
     from tapetum.data import build_dataset, open_dataset
     from tapetum.record.layout import is_recording
 
     if not is_recording(film):
         yield open_dataset(film)
         return
-    with tempfile.TemporaryDirectory() as folder:
-        cut = build_dataset([film], Path(folder) / "film.zarr", side=side, progress=bar)
+    # What a killed run left goes first.
+    clean_leftovers(out)
+    folder, stood = part_name(out, end=".part-film"), out.absolute().parent.exists()
+    try:
+        with told_when_full(out):
+            folder.mkdir(parents=True)
+        cut = build_dataset([film], folder / "film.zarr", side=side, progress=bar)
         data = open_dataset(cut)
         data.encoding["source"] = str(film)
         yield data
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if not stood:
+            with contextlib.suppress(OSError):  # the model is in it
+                out.absolute().parent.rmdir()
 
 
 def _say(adapted: NetworkEstimator) -> None:

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from tapetum.cli.options import AsJson, Cluster, Force, Processes, Seed, SetOut, SetPath, film_count, option
-from tapetum.cli.outputs import check_output
+from tapetum.cli.outputs import check_output, says_what_is_kept
 from tapetum.defaults import SEED
-from tapetum.errors import InputError, StoppedError, one_of
+from tapetum.errors import InputError, one_of
 from tapetum.progress import bar
 
 __all__ = ["build", "info", "say_split", "synth"]
@@ -137,9 +137,7 @@ def synth(
     shown = None if scene is None else load_scene(scene)
     plan = make_plan(one_of(kind, KINDS, "KIND"), one_of(size, SIZES, "--size"), seed, copies, shown)
     plan = plan if target_rate is None else plan.with_target_rate(target_rate)
-    try:
+    with says_what_is_kept():
         synthesise(plan, out, processes=film_count(processes), cluster=cluster, progress=bar, overwrite=force)
-    except KeyboardInterrupt as error:
-        raise StoppedError("what is done is kept, and the same command carries on") from error
     told = f"{len(plan.units)} units, " if plan.units else ""
     say_split(out, f"{told}{len(plan.videos)} videos, seed {seed}: ")

@@ -4,11 +4,12 @@ commands."""
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tapetum.errors import InputError, StoppedError
-from tapetum.files import told_when_full
+from tapetum.files import reserved, told_when_full
 
 __all__ = ["check_output", "filling", "says_what_is_kept"]
 
@@ -28,10 +29,19 @@ def check_output(
 ) -> None:
     """Refuse to replace an existing output, and a source always, before any work; no check for None.
 
-    With `--overwrite` a file may be replaced by a file, and a folder by one that `holds` the same, a key of `_MARKERS`.
-    The writers keep the existing output until the new one is complete.
+    A name where nothing may be written is refused too. With `--overwrite` a file may be replaced by a file, and a
+    folder by one that `holds` the same, a key of `_MARKERS`. The writers keep the existing output until the new one is
+    complete.
     """
-    if out is None or not (out.exists() or out.is_symlink()):
+    if out is None:
+        return
+    with told_when_full(out):
+        above = next(parent for parent in out.absolute().parents if parent.exists())
+    if not above.is_dir():
+        raise InputError(f"{above} is a file, not a folder", where=out, remedy="choose another path")
+    if not os.access(above, os.W_OK):
+        raise InputError("may not be written", where=out, remedy="choose a folder you own")
+    if not (out.exists() or out.is_symlink()):
         return
     for source in map(Path, sources):
         if not source.exists():
@@ -59,32 +69,39 @@ def check_output(
 
 
 @contextlib.contextmanager
-def filling(folder: Path, names: Mapping[str, str | None], force: bool) -> Iterator[None]:
+def filling(folder: Path, names: Mapping[str, str | None], force: bool, *, work: Path | None = None) -> Iterator[None]:
     """Apply `check_output` to all that a command writes into a folder: names, each with what it holds.
 
     Outputs of an interrupted run are not refused: a hidden file in the folder lists their names until the work is done.
+    `work` is where the command keeps what it need not do again; Ctrl-C says so where anything is there.
     """
     begun = folder / _UNFINISHED
     left = begun.read_text(encoding="utf-8").splitlines() if begun.is_file() else []
-    for name, holds in names.items():
-        check_output(folder / name, force or name in left, holds)
     stood = folder.exists()
     if stood and not folder.is_dir():
         raise InputError("is a file, not a folder", where=folder, remedy="choose another name")
-    with told_when_full(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        begun.write_text("\n".join({*left, *names}), encoding="utf-8")
-    try:
-        yield
-    except BaseException:
-        if not any((folder / name).exists() for name in names):
-            begun.unlink(missing_ok=True)
-            if not stood:
-                # The folder may hold something else by now.
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
-        raise
-    begun.unlink(missing_ok=True)
+    for name, holds in names.items():
+        check_output(folder / name, force or name in left, holds)
+    with reserved(folder):
+        with told_when_full(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            begun.write_text("\n".join({*left, *names}), encoding="utf-8")
+        try:
+            yield
+        except BaseException as error:
+            kept = [folder] if any((folder / name).exists() for name in names) else []
+            if not kept:
+                begun.unlink(missing_ok=True)
+                if not stood:
+                    # The folder may hold something else by now.
+                    with contextlib.suppress(OSError):
+                        folder.rmdir()
+            if work is not None and work.is_dir() and any(work.iterdir()):
+                kept = [work]
+            if kept and isinstance(error, KeyboardInterrupt):
+                raise StoppedError(f"what is done is kept in {kept[0]}, and the same command goes on") from error
+            raise
+        begun.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager

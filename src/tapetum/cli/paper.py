@@ -99,7 +99,8 @@ def paper(
         _sealed(out, shop, {name: find_model(name, device) for name in model or ()}, as_json)
         return
     names = [one for figure in wanted for one in MEMBERS.get(figure, (figure,))]
-    with filling(out, dict.fromkeys(f"{name}.{kind}" for name in names for kind in ("png", "md", "json")), force):
+    files = dict.fromkeys(f"{name}.{kind}" for name in names for kind in ("png", "md", "json"))
+    with filling(out, files, force, work=kept):
         made = reproduce(wanted, out, size=size, work=shop, progress=bar)
     if as_json:
         done = [{"name": one.name, "files": [str(file) for file in one.files], **one.numbers} for one in made]

@@ -10,9 +10,8 @@ import typer
 from tapetum.cli.options import Device, Force, Processes, SeedIfGiven, SetPath, Split, count_of, option
 from tapetum.cli.outputs import check_output
 from tapetum.defaults import SEED
-from tapetum.durable import sole_writer
 from tapetum.errors import InputError, StoppedError, one_of
-from tapetum.files import told_when_full
+from tapetum.files import reserved
 from tapetum.progress import bar
 
 if TYPE_CHECKING:
@@ -122,9 +121,7 @@ def train(
     data = split_by(open_dataset(dataset), split)
     if intervals is not None:
         options["calibration_fraction"] = 0.1 if intervals else 0.0
-    with told_when_full(out):
-        out.absolute().parent.mkdir(parents=True, exist_ok=True)
-    with sole_writer(out):
+    with reserved(out):
         fitted: ZernikeRidge | NetworkEstimator
         if network:
             beside = None if copies is None else open_dataset(copies)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -10,9 +12,10 @@ import typer
 
 from tapetum.cli.calibrate import PageOut
 from tapetum.cli.options import AsJson, Changes, Force, Seed, option
-from tapetum.cli.outputs import check_output
+from tapetum.cli.outputs import check_output, says_what_is_kept
 from tapetum.defaults import SEED
-from tapetum.errors import InputError, StoppedError
+from tapetum.errors import InputError
+from tapetum.files import reserved
 from tapetum.progress import bar
 
 __all__ = ["twin"]
@@ -59,7 +62,8 @@ def twin(
     if out.suffix.lower() not in (".yaml", ".yml"):
         raise InputError("is no name for a scene", where=out, remedy="name it NAME.yaml")
     page, numbers, kept = page or out.with_suffix(".html"), out.with_suffix(".json"), out.with_suffix(".part")
-    for path in (out, page, numbers):
+    files = (page, numbers, out)
+    for path in files:
         check_output(path, force)
     from tapetum.bench import load_scene
     from tapetum.calibrate.twin import fit_twin
@@ -67,29 +71,30 @@ def twin(
 
     names = None if free is None else [one.strip() for one in free.split(",") if one.strip()]
     known = load_scene(scene, changes or ())
-    try:
-        found = fit_twin(
-            recording,
-            known,
-            free=names,
-            frames=frames,
-            starts=starts,
-            seed=seed,
-            accuracy=accuracy,
-            roll=roll,
-            unevenness=unevenness,
-            state=kept,
-            progress=bar,
-        )
-    except KeyboardInterrupt as error:
-        raise StoppedError(f"what is done is kept in {kept}, and the same command goes on") from error
-    found.save(out)
-    found.save_numbers(numbers)
-    found.write_page(page)
-    kept.unlink(missing_ok=True)
+    with reserved(out):
+        with _says_what_is_kept(kept, KeyboardInterrupt):
+            found = fit_twin(
+                recording,
+                known,
+                free=names,
+                frames=frames,
+                starts=starts,
+                seed=seed,
+                accuracy=accuracy,
+                roll=roll,
+                unevenness=unevenness,
+                state=kept,
+                progress=bar,
+            )
+        new = [path for path in files if not path.exists()]
+        with _says_what_is_kept(kept, KeyboardInterrupt, InputError, files=new):
+            found.write_page(page)
+            found.save_numbers(numbers)
+            found.save(out)
+        kept.unlink(missing_ok=True)
     if as_json:
-        files = {"out": str(out), "page": str(page), "numbers": str(numbers)}
-        typer.echo(json.dumps({**found.as_dict(), **files}, allow_nan=False))
+        written = {"out": str(out), "page": str(page), "numbers": str(numbers)}
+        typer.echo(json.dumps({**found.as_dict(), **written}, allow_nan=False))
     else:
         for one in found.parameters:
             known_to = f"± {shown(one, one.deviation)}" if one.told else "not determined by this recording"
@@ -97,3 +102,17 @@ def twin(
         typer.echo(f"{out}, {numbers}, {page}: {verdict(found)}")
     if not found.explains:
         raise typer.Exit(1)
+
+
+@contextlib.contextmanager
+def _says_what_is_kept(kept: Path, *kinds: type[BaseException], files: Sequence[Path] = ()) -> Iterator[None]:
+    """Say of errors of these kinds what is kept, and leave none of the new files, which would stop the same command."""
+    try:
+        yield
+    except kinds as error:
+        for path in files:
+            path.unlink(missing_ok=True)
+        if kept.exists():
+            error.add_note(f"what is done is kept in {kept}, and the same command goes on")
+        with says_what_is_kept():
+            raise

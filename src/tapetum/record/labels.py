@@ -146,17 +146,17 @@ def _path(joined: Joined, places: np.ndarray, samples: Samples, times: np.ndarra
     smoothed, or interpolated where that is surer."""
     plain, reach = joined.interpolate(places), joined.reach()
     # How far a spot lies from what its neighbours alone give: their gap is twice that of a label's.
-    left_out = np.linalg.norm(_left_out(samples), axis=1) / np.sqrt(2)
-    scatter = float(np.sqrt((left_out**2).mean())) if len(left_out) else np.inf
-    straight = np.where(np.isfinite(plain[:, 0]), np.hypot(scatter, np.median(samples.deviations)), np.inf)
+    left_out = _left_out(samples)
+    scatter = np.sqrt((left_out**2).mean(axis=0)) if len(left_out) else np.full(2, np.inf)
+    straight = np.where(np.isfinite(plain), np.hypot(scatter, np.median(samples.deviations)), np.inf)
     path = smooth(samples, times, rate) if len(samples) > 1 else None
     if path is None:
         return Smoothed(plain, straight, reach, np.zeros(len(samples), bool))
-    surer = path.deviations <= straight
+    surer = (path.deviations**2).sum(axis=1, keepdims=True) <= (straight**2).sum(axis=1, keepdims=True)
     return Smoothed(
-        np.where(surer[:, None], path.places, plain),
+        np.where(surer, path.places, plain),
         np.where(surer, path.deviations, straight),
-        np.where(surer[:, None], path.reach, reach),
+        np.where(surer, path.reach, reach),
         path.strays,
     )
 
@@ -271,9 +271,10 @@ def label_recording(
     )
     there, near = joined.found, np.isfinite(path.places[:, 0])
     steady = np.stack([_about(samples.times, one, moments, rate) for one in common[good].T], axis=1) / size[0]
-    gaze, wide = path.places * size[0] / size, np.hypot(path.deviations[:, None], steady) * size[0] / size
+    gaze, wide = path.places * size[0] / size, np.hypot(path.deviations, steady) * size[0] / size
     # Too few spots to fit a spectrum to: labels keep their wide deviations, or a short recording would have none.
-    sure = near & ((wide.max(axis=1) <= widest) | ((len(samples) < FEWEST) & np.isfinite(path.deviations)))
+    known = np.isfinite(path.deviations).all(axis=1)
+    sure = near & ((wide.max(axis=1) <= widest) | ((len(samples) < FEWEST) & known))
     refused, labelled = there & near & ~sure, there & sure
     spot = gaze * size + (size - 1) / 2
     both = np.zeros(len(joined))

@@ -80,17 +80,16 @@ class Samples:
 
     @property
     def variances(self) -> Array:
-        """Stated variances [N] of the places, to which a spot's streak during the exposure adds."""
-        return self.deviations**2 + (BLUR * self.exposure * self.speeds) ** 2
+        """Stated variances [N, K] of the places, to which a spot's streak during the exposure adds."""
+        return self.deviations[:, None] ** 2 + (BLUR * self.exposure * self.speeds) ** 2
 
     @property
     def speeds(self) -> Array:
-        """RMS speed [N] over the axes, in fields a second, from straight lines through five frames."""
+        """Speeds [N, K] along the axes, in fields a second, from straight lines through five frames."""
         reach = np.clip(np.arange(len(self))[:, None] + np.arange(-2, 3), 0, len(self) - 1)
         times, places = self.times[reach], self.places[reach]
         since = times - times.mean(axis=1, keepdims=True)
-        slope = (since[..., None] * places).sum(axis=1) / np.maximum((since**2).sum(axis=1), 1e-12)[:, None]
-        return np.sqrt((slope**2).mean(axis=1))
+        return (since[..., None] * places).sum(axis=1) / np.maximum((since**2).sum(axis=1), 1e-12)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +99,13 @@ class Path:
     Attributes
     ----------
     frequencies, power
-        [F] Hz, and variance of the cosine and of the sine of each, in squared fractions of the field.
+        [F] Hz, and variance of the cosine and of the sine of each, in squared fractions of the field: the mean over the
+        axes.
+    gains
+        [K] quick motion's power along each axis over that mean.
     noise, stamp
-        Variance of the measured places over the stated one, and of the time stamps in s^2, both fitted.
+        [K] variances of the measured places over the stated ones along each axis, and the variance of the time stamps
+        in s^2, all fitted.
     samples
         What it was fitted to.
     surprise
@@ -111,24 +114,26 @@ class Path:
 
     frequencies: Array
     power: Array
-    noise: float
+    gains: Array
+    noise: Array
     stamp: float
     samples: Samples
     surprise: Array
 
     def at(self, times: Array, reach: float) -> tuple[Array, Array, npt.NDArray[np.intp]]:
-        """Return places [T, K] and standard deviations [T] at times [T] (s) from the samples within `reach` seconds.
+        """Return places [T, K] and standard deviations [T, K] at times [T] (s) from the samples within `reach` seconds.
 
         The deviation includes the errors of the asked times, which are taken to be as those of the samples' stamps. The
         last result is [T, 2], the first sample used and the one after the last; without samples the places are NaN and
         the deviations infinite.
         """
         samples, middle = self.samples, float(self.samples.times.mean())
-        error = self._error()
+        error = _error(samples, self.noise, self.stamp)
+        common = error.mean(axis=1)
         own = _waves(self.frequencies, samples.times - middle, samples.exposure)
         asked = _waves(self.frequencies, times - middle, 0.0)
         among = (own * self.power) @ own.T + LEVEL
-        among[np.diag_indices(len(samples))] += error
+        among[np.diag_indices(len(samples))] += common
         between = (asked * self.power) @ own.T + LEVEL
         alone = float(self.power.sum() / 2) + LEVEL
         # Power whose alias frames of this rate cannot exclude.
@@ -136,23 +141,25 @@ class Path:
         quick = float(self.power[: len(self.frequencies)][self.frequencies > 0.25 / interval].sum())
         used = np.searchsorted(samples.times, times[:, None] + np.array([-reach, reach]))
         mean = samples.places.mean(axis=0)
-        speeds = np.interp(times, samples.times, samples.speeds)
-        found, deviation = np.full((len(times), samples.places.shape[1]), np.nan), np.full(len(times), np.inf)
+        found, deviation = (np.full((len(times), samples.places.shape[1]), one) for one in (np.nan, np.inf))
+        late = self.stamp * np.stack([np.interp(times, samples.times, axis**2) for axis in samples.speeds.T], axis=1)
         for n, (first, last) in enumerate(used):
             if last == first:
                 continue
             share = cho_solve(cho_factor(among[first:last, first:last], lower=True), between[n, first:last])
             found[n] = mean + share @ (samples.places[first:last] - mean)
             left = max(alone - float(share @ between[n, first:last]), 0.0)
-            measured = min(float(share**2 @ error[first:last]), left)
-            open_part = np.sqrt(min((left - measured) / max(quick, 1e-18), 1.0))
+            measured = share**2 @ error[first:last]
+            unseen = max(left - float(share**2 @ common[first:last]), 0.0)
+            open_part = np.sqrt(min(unseen / max(quick, 1e-18), 1.0))
             factor = SURE + (1 - SURE) * open_part
-            deviation[n] = np.sqrt(measured + (left - measured) * factor**2 + self.stamp * speeds[n] ** 2)
+            deviation[n] = np.sqrt(measured + self.gains * unseen * factor**2 + late[n])
         return found, deviation, used
 
-    def _error(self) -> Array:
-        """Variance [N] of the samples' places, that of their stamps included."""
-        return self.noise * self.samples.variances + self.stamp * self.samples.speeds**2
+
+def _error(samples: Samples, noise: Array, stamp: float) -> Array:
+    """Return the variances [N, K] of samples' places, those of their stamps included."""
+    return noise * samples.variances + stamp * samples.speeds**2
 
 
 def _waves(frequencies: Array, times: Array, exposure: float) -> Array:
@@ -199,7 +206,8 @@ def fit_path(samples: Samples) -> Path:
     # No hand swings its camera at the frame rate: frames with a rolling shutter would take such a swing for a sweep.
     fall = np.minimum(1.0, (TREMOR / centres) ** 4)
     most = np.where(centres < SWAY, np.inf, (LARGEST * fall) ** 2 / counts)
-    errors = np.stack([samples.variances, samples.speeds**2], axis=1)
+    # One spectrum for all axes, which tells aliases apart better than one for each.
+    errors = np.stack([samples.variances.mean(axis=1), (samples.speeds**2).mean(axis=1)], axis=1)
     bounds, scale = np.array([NOISE, STAMP]).T, np.array([1.0, 1e-8])
     count, axes, before = len(samples), samples.places.shape[1], -np.inf
     for _ in range(STEPS):
@@ -221,8 +229,24 @@ def fit_path(samples: Samples) -> Path:
     among = (waves * power[both]) @ waves.T + LEVEL
     among[np.diag_indices(count)] += errors @ scale
     inverse = np.linalg.inv(among)
-    surprise = (inverse @ places) / np.sqrt(np.diag(inverse))[:, None]
-    return Path(frequencies, power[both], float(scale[0]), float(scale[1]), samples, surprise)
+    solved = inverse @ places
+    surprise = solved / np.sqrt(np.diag(inverse))[:, None]
+    shown = power[both] @ (np.tile(frequencies > SWAY, 2)[:, None] * (waves.T @ solved) ** 2)
+    return Path(
+        frequencies,
+        power[both],
+        _of_axes(shown),
+        scale[0] * _of_axes((samples.variances * solved**2).sum(axis=0)),
+        float(scale[1]),
+        samples,
+        surprise,
+    )
+
+
+def _of_axes(shown: Array) -> Array:
+    """Return what each axis shows, [K], over the mean of all: 1 where none shows any."""
+    mean = float(shown.mean())
+    return shown / mean if mean > 0 else np.ones(len(shown))
 
 
 FEWEST = 64  # samples that a spectrum is fitted to
@@ -236,7 +260,7 @@ class Smoothed:
     Attributes
     ----------
     places, deviations
-        [T, K] in fractions of the field, and their standard deviations [T], along either axis.
+        [T, K] in fractions of the field, and their standard deviations.
     reach
         [T, 2] s, how far each place reaches back and ahead to the exposures of the samples used.
     strays
@@ -274,7 +298,7 @@ def smooth(samples: Samples, times: Array, rate: float) -> Smoothed:
         Nominal frame rate of the camera in Hz.
     """
     places = np.full((len(times), samples.places.shape[1]), np.nan)
-    deviations, reach = np.full(len(times), np.inf), np.full((len(times), 2), np.nan)
+    deviations, reach = np.full(places.shape, np.inf), np.full((len(times), 2), np.nan)
     strays = np.zeros(len(samples), bool)
     length, back, ahead = block_seconds(rate)
     # Frames farther than this hardly add to a place, and labels that share no frame are independent.

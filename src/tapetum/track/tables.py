@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from tapetum.durable import sync
 from tapetum.errors import InputError
-from tapetum.files import free_name, told_when_full
+from tapetum.files import free_name, reserved, told_when_full
 from tapetum.track.detections import Detections
 from tapetum.track.formats import FORMATS, to_parquet
 from tapetum.track.motion import MOTION
@@ -202,13 +202,13 @@ def table_writer(path: str | os.PathLike[str], schema: pa.Schema) -> Iterator[Ta
     """Open a table for writing; `path` is replaced only when all rows are written.
 
     After a failure or an interruption the rows so far are kept as `NAME.unfinished.SUFFIX` beside it, and a note on the
-    error says so (`__notes__`). InputError when the suffix is none of `FORMATS`, or the file cannot be written.
+    error says so (`__notes__`). InputError when the suffix is none of `FORMATS`, the file cannot be written, or another
+    command is writing it.
     """
     checked_suffix(path)
     writer = None
     try:
-        with told_when_full(path):
-            Path(path).absolute().parent.mkdir(parents=True, exist_ok=True)
+        with reserved(path), told_when_full(path):
             if Path(path).is_dir():
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
             writer = TableWriter(Path(path), schema)

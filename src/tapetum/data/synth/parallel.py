@@ -13,7 +13,7 @@ from pathlib import Path
 from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.synth.store import Staging
 from tapetum.data.synth.work import keep_part
-from tapetum.errors import TapetumError
+from tapetum.errors import InputError, TapetumError
 from tapetum.processes import begin_beside, context_of
 
 __all__ = ["parts_by_processes"]
@@ -23,7 +23,8 @@ def parts_by_processes(plan: Plan, staging: Staging, parts: Sequence[Part], coun
     """Make parts in `count` processes; yield each part when it is done.
 
     A process takes whole videos, which it prepares once, or runs of their parts where processes outnumber videos. The
-    others take over what a dead process had not done. Raises a TapetumError when a process fails, or all have died.
+    others take over what a dead process had not done. Raises a TapetumError when a process fails, or all have
+    died, and the InputError that a process has raised.
     """
     waiting = deque(_runs(parts, count))
     with _started(min(count, len(waiting)), staging.path, plan) as connections:
@@ -51,6 +52,9 @@ def parts_by_processes(plan: Plan, staging: Staging, parts: Sequence[Part], coun
                         remedy = "they may lack memory: use fewer; what is done is kept, and the same call carries on"
                         raise TapetumError(f"{what}; {remedy}") from None
                     continue
+                if isinstance(failure, tuple):
+                    what, where, remedy = failure
+                    raise InputError(what, where=where, remedy=remedy)
                 if failure is not None:
                     raise TapetumError(f"a process that films failed: {failure}")
                 # Each process makes its parts in order.
@@ -96,7 +100,11 @@ def _film(connection: Connection, path: Path, plan: Plan) -> None:
             for part in connection.recv():
                 try:
                     keep_part(path, plan.videos[part.video], part, plan.rules, plan.classes)
-                except Exception as error:  # raised in the process that waits for it
+                except InputError as error:  # raised in the process that waits for it
+                    where = None if error.where is None else str(error.where)
+                    connection.send((error.what, where, error.remedy))
+                    return
+                except Exception as error:
                     connection.send(str(error) if isinstance(error, TapetumError) else repr(error))
                     return
                 connection.send(None)

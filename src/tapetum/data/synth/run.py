@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -9,8 +10,8 @@ from tapetum.data.synth.parallel import parts_by_processes
 from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.synth.store import Staging
 from tapetum.data.synth.work import keep_part
-from tapetum.durable import sole_writer
 from tapetum.errors import InputError
+from tapetum.files import reserved
 from tapetum.progress import Progress, quiet
 
 __all__ = ["synthesise"]
@@ -69,19 +70,31 @@ def synthesise(
             raise InputError(f"must be positive, is {count}", where=name, remedy="give a number of processes")
     if out.exists() and not overwrite:
         raise InputError("exists already", where=out, remedy="choose another name or remove it first")
-    out.absolute().parent.mkdir(parents=True, exist_ok=True)
-    with sole_writer(out):
+    with reserved(out):
         staging = Staging.begin(out, plan)
         done = staging.done()
         missing = [part for part in plan.parts if part.number not in done]
         if missing:
             what = f"filming {plan.kind}" + (f", {len(done)} of {len(plan.parts)} done" if done else "")
             making = _making(plan, staging, missing, processes or workers or 1, cluster)
-            for _ in progress(making, what, total=len(missing)):
-                pass
-        staging.put_together(plan, out, progress=progress, overwrite=overwrite)
+            with _says_what_is_kept(staging, KeyboardInterrupt, InputError):
+                for _ in progress(making, what, total=len(missing)):
+                    pass
+        with _says_what_is_kept(staging, KeyboardInterrupt):
+            staging.put_together(plan, out, progress=progress, overwrite=overwrite)
         staging.remove()
     return out
+
+
+@contextlib.contextmanager
+def _says_what_is_kept(staging: Staging, *kinds: type[BaseException]) -> Iterator[None]:
+    """Add to errors of these kinds that finished parts stay, if they do."""
+    try:
+        yield
+    except kinds as error:
+        if staging.stands:
+            error.add_note(f"what is done is kept in {staging.path}, and the same command carries on")
+        raise
 
 
 def _making(plan: Plan, staging: Staging, parts: Sequence[Part], processes: int, cluster: str | None) -> Iterator[Part]:

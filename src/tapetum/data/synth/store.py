@@ -71,6 +71,11 @@ class Staging:
             (folder / _PLAN).write_text(json.dumps({**plan.as_dict(), "digest": plan.digest}), encoding="utf-8")
         return cls(path)
 
+    @property
+    def stands(self) -> bool:
+        """Whether its plan is there: the folder may be removed meanwhile."""
+        return (self.path / _PLAN).is_file()
+
     def done(self) -> set[int]:
         """Return the numbers of the parts that are done."""
         return {int(file.stem) for file in (self.path / _DONE).glob("[0-9]*.parquet")}
@@ -80,7 +85,10 @@ class Staging:
         return self._file(part).exists()
 
     def keep(self, part: Part, made: Made) -> None:
-        """Write a part's crops and values, which marks it as done."""
+        """Write a part's crops and values, which marks it as done; raise an InputError where the folder has gone."""
+        if not self.stands:
+            remedy = "run the same command again, which starts over"
+            raise InputError("has been removed while it was written", where=self.path, remedy=remedy)
         like = made.crops[0] if made.crops else np.empty(0)
         about = {"told": made.told, "parameters": made.parameters, "dtype": like.dtype.str, "shape": like.shape}
         table = pa.table({"crop": pa.array([crop.tobytes() for crop in made.crops], pa.binary()), **made.columns})
@@ -104,6 +112,9 @@ class Staging:
             crops = [np.frombuffer(raw.as_buffer(), about["dtype"]).reshape(about["shape"]) for raw in table["crop"]]
             columns: dict[str, Any] = {name: table[name].to_pylist() for name in table.column_names if name != "crop"}
             return Made(crops, columns, about["told"], about["parameters"])
+        except FileNotFoundError as error:
+            remedy = "run the same command again: it makes the part again"
+            raise InputError("has been removed", where=file, remedy=remedy) from error
         except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
             remedy = "remove this file and run the same command again: it makes the part again"
             raise InputError(f"damaged ({error})", where=file, remedy=remedy) from error
