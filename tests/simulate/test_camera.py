@@ -318,6 +318,15 @@ def test_a_mask_lies_behind_the_layers(tmp_path: Any) -> None:
     assert torch.allclose(dimmed, bare / 4, rtol=1e-9)
     with pytest.raises(InputError, match=r"illumination: a beam .* does not fill"):
         assert Camera(scene(**mask, illumination__diameter=RADIUS), 0.0).plan
+    # Fields of a mask and of a layer are not added: in laser light they interfere, over a short coherence they do not.
+    glass: dict[str, Any] = {"target__sensor__layers": [{"depth": 1e-4, "reflectance": 0.2}]}
+    with pytest.raises(
+        InputError, match=r"target\.sensor\.mask: light of the layer 0\.0001 m before the mask interferes"
+    ):
+        image(scene(**mask, **glass))
+    short: dict[str, Any] = {**glass, "illumination__coherence_length": 1e-4}
+    uniform = image(scene(**short, sampling__accuracy=1e-2))
+    assert float((image(scene(**mask, **short)) - uniform).abs().max()) < 0.02 * float(uniform.max())
 
 
 def test_a_spot_beside_a_mask_states_what_its_faint_picture_is_off_by(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import torch
 import yaml
 
 from tapetum.bench import PhoneTarget, Scene, load_scene, with_values
+from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate import retroreflect, traced_lens
 from tapetum.simulate.camera import Camera
@@ -64,11 +65,13 @@ def test_each_return_lies_where_the_probe_sees_its_camera() -> None:
     bare = [replace(unit.scene, target=replace(unit.scene.target, sensor=_mirror(unit.scene))) for unit in units]
     cameras = [Camera(one, 0.05, output=grid) for one in bare]
     camera.units = list(zip(cameras, units, strict=True))
+    camera._shares = torch.zeros(2, dtype=torch.float64)
     image = camera(TILT)
     scale = scene.probe.lens.focal_length / scene.distance
+    seen = [seen_from_probe(torch.tensor([unit.place]), TILT) / scene.distance for unit in units]
     apart = [
-        one(unit.sines(TILT), scale * seen_from_probe(torch.tensor([unit.place]), TILT))
-        for one, unit in zip(cameras, units, strict=True)
+        one(unit.sines(TILT, aside), scene.probe.lens.focal_length * aside)
+        for one, unit, aside in zip(cameras, units, seen, strict=True)
     ]
     assert torch.allclose(image, sum(apart[1:], apart[0]))
     # The middle of each return's light lies there.
@@ -78,6 +81,32 @@ def test_each_return_lies_where_the_probe_sees_its_camera() -> None:
         share = one[0].double() / one.sum()
         middle = torch.stack([(share.sum(0) * grid.x()).sum(), (share.sum(1) * grid.y()).sum()])
         assert torch.allclose(middle, want.double(), atol=3 * grid.pitch)
+
+
+def test_a_camera_beside_is_lit_under_another_angle() -> None:
+    """As by a second beam whose return lies at the same place of the picture."""
+    scene = phone(several())
+    gazing, beside = phone_scenes(scene)[:2]
+    aside = seen_from_probe(torch.tensor([beside.place]), TILT) / scene.distance
+    assert float(aside.norm()) == pytest.approx(12.4e-3 / 5.5, rel=0.01)
+    angle = torch.atan(-aside[0]).tolist()
+    double = with_values(scene, {"illumination.second_beam": {"ratio": 1.0, "angle": angle}})
+    camera = Camera(phone_scenes(double)[0].scene, 0.05, output=Grid(41, 41, 8e-6))
+    (_, first, _), (tilts, place, _) = camera.beams(beside.sines(TILT), torch.zeros(1, 2, dtype=torch.float64))
+    torch.testing.assert_close(place - first, scene.probe.lens.focal_length * aside)
+    torch.testing.assert_close(beside.sines(TILT, aside), tilts, rtol=0, atol=1e-8)
+    assert torch.equal(gazing.sines(TILT, aside), TILT)
+
+
+def test_cameras_outside_the_lit_disc_are_dark_and_its_edge_is_refused() -> None:
+    assert len(phone_scenes(phone("phone-11"))) == 4
+    # The disc's radius over 5.5 m is 15 mm, 10.6 mm and 4.8 mm; cameras stand 10.5 to 21 mm aside.
+    assert len(phone_scenes(phone("phone-11", **{"illumination.divergence": "0.3125 deg"}))) == 3
+    with pytest.raises(InputError, match=r"illumination\.divergence: the edge of the lit disc, 0\.0106 m in radius"):
+        phone_scenes(phone("phone-11", **{"illumination.divergence": "0.2208 deg"}))
+    assert len(phone_scenes(phone("phone-11", **{"illumination.divergence": "0.1 deg"}))) == 1
+    with pytest.raises(InputError, match=r"illumination\.vergence: cameras side by side"):
+        phone_scenes(phone("phone-11", **{"illumination.vergence": 0.0}))
 
 
 def test_a_camera_mounted_askew_looks_beside_the_others(tmp_path: Path) -> None:
@@ -100,7 +129,7 @@ def test_a_camera_mounted_askew_looks_beside_the_others(tmp_path: Path) -> None:
     )
     camera = PhoneCamera.__new__(PhoneCamera)
     camera.scene, camera.output = other.scene, grid
-    camera.units = [(alone, replace(other, place=(0.0, 0.0)))]
+    camera.units, camera._shares = [(alone, replace(other, place=(0.0, 0.0)))], torch.zeros(1, dtype=torch.float64)
     assert torch.allclose(camera(TILT), alone(other.sines(TILT)))
     assert float((camera(TILT) - alone(TILT)).abs().max()) > 0.1 * float(camera(TILT).max())
 
@@ -108,6 +137,30 @@ def test_a_camera_mounted_askew_looks_beside_the_others(tmp_path: Path) -> None:
 def _mirror(scene: Scene) -> object:
     sensor = scene.target.sensor
     return replace(sensor, array=None, microlens=None, layers=(), reflectance=0.3)
+
+
+def test_a_phone_states_what_its_cameras_state(tmp_path: Path) -> None:
+    """What a sensor's edge takes of a spot's rings counts too, in shares of the picture's peak."""
+    text = yaml.safe_load((resources.files("tapetum.bench") / "phones" / "phone-02.yaml").read_text("utf-8"))
+    text["cameras"][0]["sensor"] |= {"pixels": [12, 12], "layers": []}
+    text["cameras"][0]["lens"]["coating"] = 0.0
+    path = tmp_path / "tiny.yaml"
+    path.write_text(yaml.safe_dump(text), "utf-8")
+    light = {"illumination.wavelength": 640e-9, "illumination.second_beam": None, "target.imaging": True}
+    scene = phone(str(path), **light, **{"sampling.accuracy": 0.03})
+    (unit,) = phone_scenes(scene)
+    alone, whole = Camera(unit.scene, 0.001), PhoneCamera(scene, 0.001)
+    centred = torch.zeros(1, 2, dtype=torch.float64)
+    alone(centred), whole(centred)
+    edge = alone.metadata()["expected_error"]
+    assert edge > 2 * alone.plan.expected_error
+    assert whole.metadata()["expected_error"] == pytest.approx(edge, rel=0.2)
+    # Of two cameras each counts as far as its light does.
+    both = PhoneCamera(phone(several()), 0.05)
+    picture = both(TILT)
+    parts = [(one(unit.sines(TILT)).max(), one.metadata()["expected_error"]) for one, unit in both.units]
+    want = sum(float(peak) * error for peak, error in parts) / float(picture.max())
+    assert both.metadata()["expected_error"] == pytest.approx(want, rel=0.15)
 
 
 def test_an_idle_camera_keeps_its_filters() -> None:
@@ -142,6 +195,7 @@ def whole() -> PhoneCamera:
     whole = PhoneCamera.__new__(PhoneCamera)
     whole.scene, whole.output = camera.scene, camera.output
     whole.units = [(one.on(camera.output), unit) for one, unit in camera.units]
+    whole._shares = torch.zeros(len(whole.units), dtype=torch.float64)
     return whole
 
 

@@ -359,6 +359,27 @@ def test_gradients_of_every_continuous_parameter() -> None:
     assert torch.autograd.gradcheck(by_wavelength, (one,), eps=1e-6, atol=1e-6, rtol=2e-3)
 
 
+def test_gradient_of_the_focal_length_behind_a_tilted_sensor() -> None:
+    """What the weights of the tables behind tilted planes change and what the tables change nearly cancel in it."""
+    light = "illumination={mode: collimated, diameter: 30 mm, wavelength: 640 nm, power: 1 mW}"
+    values = {"distance": 2.5, "object_distance": 2.5, "target.lens.aperture_radius": 2e-3, "sampling.accuracy": 1e-3}
+    values |= {"target.sensor.tilt": [-4e-3, -0.6e-3], "probe.sensor.pixels": [96, 96], "probe.sensor.pitch": 3.5e-6}
+    light = {"mode": "collimated", "diameter": 30e-3, "wavelength": 640e-9, "power": 1e-3}
+    values |= {"illumination": light, "sampling.propagation": "far field"}
+    scene = with_values(load_scene("thin-lens"), values)
+    tilt, focal = torch.tensor([[0.005, 0.0024]], dtype=torch.float64), 16e-3
+
+    def image(length: torch.Tensor | float) -> torch.Tensor:
+        return Camera(scene, 0.01, focal_length=length, dtype=torch.complex128, device="cpu")(tilt)[0]
+
+    weights = image(focal) / image(focal).max()
+    varied = torch.tensor(focal, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad((image(varied) * weights).sum(), varied)
+    step = 1e-6 * focal
+    want = float(((image(focal + step) - image(focal - step)) * weights).sum()) / (2 * step)
+    assert float(slope) == pytest.approx(want, rel=1e-4)
+
+
 def test_gradient_of_the_distance_through_the_aperture() -> None:
     g = geometry(0.1, 0.5e-3, 3.0, sine=0.01)
     output, at = Grid(3, 4, 30e-6), sines((0.05, 0.1))

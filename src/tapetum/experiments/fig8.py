@@ -83,13 +83,13 @@ def simulate_fig8(
 def _parts(scene: Scene, refused: list[str], *, first_only: bool = False) -> list[Array]:
     """Electrons [H, W] from every camera of a phone, the gaze's camera first; zero for `refused` ones."""
     sines, farthest = tilt_of_gaze(scene, torch.tensor([GAZE, _UP_TO], dtype=torch.float64))[:, None]
-    scale = scene.probe.lens.focal_length / scene.distance
     units = sorted(phone_scenes(scene), key=lambda unit: unit.place != (0.0, 0.0))
     found: list[Array] = []
     for unit in units[: 1 if first_only else None]:
-        at = scale * seen_from_probe(torch.tensor([unit.place], dtype=torch.float64), sines)
+        aside = seen_from_probe(torch.tensor([unit.place], dtype=torch.float64), sines) / scene.distance
+        at = scene.probe.lens.focal_length * aside
         try:
-            own = unit.sines(torch.cat([sines, farthest]))
+            own = unit.sines(torch.cat([sines, farthest]), aside)
             image = Camera(unit.scene, largest_sine(own), output=sensor_grid(scene))(own[:1], at)[0]
         except InputError as error:
             # A camera that the engine refuses is named and must not hide the others.

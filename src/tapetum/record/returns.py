@@ -185,8 +185,9 @@ def returns_of(scene: Scene, gaze: Array, place: Array, roll: Array, distance: A
     found: list[Returns] = []
     for unit in sorted(phone_scenes(scene), key=lambda unit: unit.place != (0.0, 0.0)):
         on_plate = _turned(torch.tensor([unit.place], dtype=torch.float64).expand(len(gaze), -1), roll)
-        seen = seen_from_probe(on_plate, rolled).numpy()
-        found.append(Returns(unit.scene, unit.sines(tilts), place + seen, roll, distance))
+        seen = seen_from_probe(on_plate, rolled)
+        aside = _turned(seen / torch.from_numpy(distance)[:, None], -roll)
+        found.append(Returns(unit.scene, unit.sines(tilts, aside), place + seen.numpy(), roll, distance))
     return found
 
 

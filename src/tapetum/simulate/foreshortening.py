@@ -40,13 +40,13 @@ def tangents(sines: torch.Tensor) -> torch.Tensor:
 
 
 def off_axis(sines: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
-    """Sines [B, 2] of light at `angles` [2], in radians along x and y, from light of the tilts [B, 2].
+    """Sines [B, 2] of light at `angles` [2] or [B, 2], in radians along x and y, from light of the tilts [B, 2].
 
     The angles are the probe's. The rotation that brings the lens's axis onto the laser, without a turn about that axis,
     takes them to the lens.
     """
     slopes = torch.tan(angles)
-    along = 1 / torch.sqrt(1 + slopes.square().sum())
+    along = 1 / torch.sqrt(1 + slopes.square().sum(-1, keepdim=True))
     across = slopes * along
     share = (sines * across).sum(-1, keepdim=True) / (1 + cosines(sines)[:, None])
     return across + sines * (along - share)

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import torch
 
+from tapetum.bench import Scene
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.optics.grid_sampling import ACCURACIES, SamplingPlan, plan_double_pass, plan_finer
@@ -29,6 +30,7 @@ from tapetum.optics.sampling import (
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.faint import FaintPass, Pass
 from tapetum.simulate.glints import Glints
+from tapetum.simulate.light import reach_of_interference
 from tapetum.simulate.radiometry import beam_radius
 from tapetum.simulate.reflections import Scatterer, reaching_sensor, scatterers, specular_groups
 from tapetum.simulate.round_pass import RoundPass
@@ -140,6 +142,7 @@ def line_of(
     ends = [end for _, end in made]
     masked = None
     if scene.target.sensor.mask is not None:
+        _check_masked_alone(scene, groups, wavelength)
         masked, plan = _masked(optics, output, geometry, wavelength)
         passes.append(masked)
         plans.append(plan)
@@ -218,6 +221,16 @@ def _thin(
     aside = plan_aside(planned, optics.accuracy, plan) if mirrors_only and forced is None else None
     one = RoundPass(at, plan, output, group, aside=aside, **options)
     return one, thin_end(at, plan, output, group, **own, **options)
+
+
+def _check_masked_alone(scene: Scene, groups: Sequence[Sequence[Surface]], wavelength: float) -> None:
+    """Refuse a layer whose light interferes with a mask's, which is computed by itself; raises an InputError."""
+    reach = reach_of_interference(scene.illumination, wavelength)
+    near = [one for group in groups for one in group if 2 * one.index * one.depth < reach]
+    if near:
+        what = f"light of the layer {near[0].depth:.3g} m before the mask interferes with the mask's, which is left out"
+        remedy = "use an array for a mask, a layer of reflectance 0, or a shorter illumination.coherence_length"
+        raise InputError(what, where="target.sensor.mask", remedy=remedy)
 
 
 def _masked(

@@ -9,9 +9,11 @@ from typing import Any
 import torch
 
 from tapetum.bench import PhoneTarget, Scene
+from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera, sensor_grid
-from tapetum.simulate.foreshortening import foreshortening
+from tapetum.simulate.foreshortening import foreshortening, off_axis
+from tapetum.simulate.radiometry import beam_radius
 
 __all__ = ["PhoneCamera", "Unit", "open_camera", "phone_scenes", "seen_from_probe"]
 
@@ -37,22 +39,54 @@ class Unit:
     place: tuple[float, float]
     axis: tuple[float, float] = (0.0, 0.0)
 
-    def sines(self, gazing: torch.Tensor) -> torch.Tensor:
-        """Sines [..., 2] of its tilts where the camera that gazes has these."""
-        if self.axis == (0.0, 0.0):
-            return gazing
-        return torch.sin(torch.asin(gazing) + torch.tensor(self.axis).to(gazing))
+    def sines(self, gazing: torch.Tensor, aside: torch.Tensor | None = None) -> torch.Tensor:
+        """Sines [B, 2] of its tilts where the camera that gazes has these.
+
+        `aside` [B, 2] is the angle from that camera to this one as the probe sees them, in radians along the axes of
+        the tilts: light of the probe meets this camera under it.
+        """
+        if self.axis != (0.0, 0.0):
+            gazing = torch.sin(torch.asin(gazing) + torch.tensor(self.axis).to(gazing))
+        # Its return lies on the other side of the probe's axis than that of a second beam at this angle.
+        return gazing if aside is None or self.place == (0.0, 0.0) else off_axis(gazing, -aside.to(gazing))
 
 
 def phone_scenes(scene: Scene) -> tuple[Unit, ...]:
-    """The scene of every camera; of a single camera its own."""
+    """The scene of every camera that is lit; of a single camera its own.
+
+    Raises
+    ------
+    InputError
+        When the edge of the lit disc crosses a camera's aperture, or light that does not come from the probe meets
+        several cameras.
+    """
     if not isinstance(scene.target, PhoneTarget):
         return (Unit(scene, (0.0, 0.0)),)
     x, y = scene.target.rotation
-    return tuple(
+    units = [
         Unit(replace(scene, target=target), place, (target.rotation[0] - x, target.rotation[1] - y))
         for target, place in scene.target.cameras()
-    )
+    ]
+    lit, light = beam_radius(scene), scene.illumination
+    for unit in units:
+        if not _lit(unit, lit) and math.hypot(*unit.place) < lit + unit.scene.target.lens.aperture_radius:
+            aside = math.hypot(*unit.place)
+            what = (
+                f"the edge of the lit disc, {lit:.3g} m in radius, crosses the camera {aside:.3g} m beside the gaze's"
+            )
+            where = "illumination." + ("divergence" if light.divergence is not None else "diameter")
+            raise InputError(what, where=where, remedy="make it wider or narrower, or name a phone of one camera")
+    found = tuple(unit for unit in units if _lit(unit, lit))
+    if len(found) > 1 and not math.isclose(light.curvature(scene.distance) * scene.distance, 1.0, rel_tol=1e-3):
+        where = "illumination.mode" if light.vergence is None else "illumination.vergence"
+        what = "cameras side by side are computed in light that comes from the probe alone"
+        raise InputError(what, where=where, remedy="use mode 'diverging' or 'fixed_area' without a vergence")
+    return found
+
+
+def _lit(unit: Unit, lit: float) -> bool:
+    """Whether a disc of this radius about the camera that gazes holds all of a unit's aperture, in metres."""
+    return unit.place == (0.0, 0.0) or math.hypot(*unit.place) + unit.scene.target.lens.aperture_radius <= lit
 
 
 def seen_from_probe(places: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
@@ -81,34 +115,46 @@ class PhoneCamera:
         self.scene, self.output = scene, output or sensor_grid(scene)
         self.units: list[tuple[Camera, Unit]] = []
         for unit in phone_scenes(scene):
-            camera = Camera(unit.scene, steepest + math.hypot(*unit.axis), output=self.output, **options)
+            aside = math.hypot(*unit.axis) + math.hypot(*unit.place) / scene.distance
+            camera = Camera(unit.scene, steepest + aside, output=self.output, **options)
             window = camera.window(left_out=_LEFT_OUT * camera.accuracy)
             # Each return covers few of the sensor's pixels.
             if window.rows < self.output.rows and window.columns < self.output.columns:
                 camera = camera.on(window)
             self.units.append((camera, unit))
+        # Of each camera: its own largest irradiance over the picture's, at most of all pictures so far.
+        self._shares = torch.zeros(len(self.units), dtype=torch.float64)
 
     def __call__(
         self, sines: torch.Tensor, centres: torch.Tensor | None = None, *, equivalent: bool = False
     ) -> torch.Tensor:
         """As `Camera.__call__`; the centre is that of the camera that gazes."""
-        scale = self.scene.probe.lens.focal_length / self.scene.distance
+        focal, distance = self.scene.probe.lens.focal_length, self.scene.distance
         first = self.units[0][0]
         total = torch.zeros(len(sines), self.output.rows, self.output.columns, dtype=first.real, device=first.device)
+        peaks = []
         for camera, unit in self.units:
-            at = scale * seen_from_probe(torch.tensor([unit.place], device=sines.device), sines.double())
-            at = at if centres is None else centres + at
-            self._add(total, camera, unit.sines(sines), at, equivalent)
+            seen = seen_from_probe(torch.tensor([unit.place], device=sines.device), sines.double()) / distance
+            at = focal * seen if centres is None else centres + focal * seen
+            peaks.append(self._add(total, camera, unit.sines(sines, seen), at, equivalent))
+        whole = total.detach().amax((1, 2)).double().cpu()
+        shares = torch.stack(peaks) / whole.clamp_min(torch.finfo(torch.float64).tiny)
+        self._shares = torch.maximum(self._shares, shares.amax(1)) if len(sines) else self._shares
         return total
 
     def _add(
         self, total: torch.Tensor, camera: Camera, sines: torch.Tensor, centres: torch.Tensor, equivalent: bool
-    ) -> None:
-        """Add one camera's light on all pixels, computed on the camera's own about each beam's return."""
+    ) -> torch.Tensor:
+        """Add one camera's light on all pixels, computed on the camera's own about each beam's return.
+
+        Returns its own largest irradiance [B], or what its beams' add up to, which is no less.
+        """
         output, window = self.output, camera.output
+        peaks = torch.zeros(len(sines), dtype=torch.float64)
         if (window.rows, window.columns) == (output.rows, output.columns):
-            total += camera(sines, centres, equivalent=equivalent)
-            return
+            image = camera(sines, centres, equivalent=equivalent)
+            total += image
+            return image.detach().amax((1, 2)).double().cpu()
         # All beams at once: a few frames are no work for the processor.
         beams = camera.beams(sines, centres)
         tilts = torch.cat([one.double() for one, _, _ in beams])
@@ -120,7 +166,7 @@ class PhoneCamera:
         meets = (left > -window.columns) & (left < output.columns) & (top > -window.rows) & (top < output.rows)
         here = meets.nonzero()[:, 0]
         if not len(here):
-            return
+            return peaks
         images = camera.render(tilts[here], (places - (corner - apart) * output.pitch)[here], equivalent=equivalent)
         for one, image in zip(here, images, strict=True):
             number = int(one)
@@ -128,7 +174,10 @@ class PhoneCamera:
             rows = slice(max(y, 0), min(y + window.rows, output.rows))
             columns = slice(max(x, 0), min(x + window.columns, output.columns))
             part = image[rows.start - y : rows.stop - y, columns.start - x : columns.stop - x]
-            total[number % len(sines), rows, columns].add_(part, alpha=beams[number // len(sines)][2])
+            strength = beams[number // len(sines)][2]
+            total[number % len(sines), rows, columns].add_(part, alpha=strength)
+            peaks[number % len(sines)] += strength * float(part.detach().max())
+        return peaks
 
     @property
     def plan(self) -> Any:
@@ -152,10 +201,15 @@ class PhoneCamera:
         return any(camera.polychromatic for camera, _ in self.units)
 
     def metadata(self) -> dict[str, Any]:
-        """Of the first camera, with the places of all, and whether all have the light of their rims."""
+        """Of the first camera, with the places of all, and whether all have the light of their rims.
+
+        The error is the sum of all cameras', each in shares of the picture's peak: of pictures so far, or where there
+        is none as if each camera's were the brightest.
+        """
         each = [camera.metadata() for camera, _ in self.units]
         cut = max(one["cut_by_aperture"] for one in each)
-        error = self.plan.expected_error + max(camera.area.error for camera, _ in self.units) + cut
+        shares = self._shares.tolist() if bool(self._shares.any()) else [1.0] * len(each)
+        error = sum(one["expected_error"] * share for one, share in zip(each, shares, strict=True) if share)
         whole = all(one["rim_light"] for one in each)
         places = [unit.place for _, unit in self.units]
         return {**each[0], "expected_error": error, "cut_by_aperture": cut, "rim_light": whole, "cameras": places}

@@ -210,6 +210,10 @@ class RoundPass:
 
         reach = math.hypot(*surface.tilt) * self.geometry.tangent
         error = 1e-6 if self.dtype == torch.complex128 else 0.03 * min(self.plan.expected_error, 1e-2)
+        if self.differentiable:
+            # In a derivative by the focal length what the tables' weights change and what the tables themselves change
+            # nearly cancel.
+            error = 1e-12
         tables = focus_tables(table, z_now, reach, float(self._k.detach()) * float(lit.detach()) ** 2, error)
         moving = {"image_distance": z, "vergence": vergence, "radius": lit, "wavenumber": self._k}
         if len(tables.nodes) > 1:
