@@ -268,7 +268,16 @@ def test_a_phones_cameras_look_where_their_axes_say(monkeypatch: pytest.MonkeyPa
         (unit,) = (unit for unit in phone_scenes(scene) if unit.scene == one)
         assert np.hypot(*place[0]) > 5e-3
         assert unit.axis != (0.0, 0.0)
-        assert torch.allclose(torch.asin(tilts) - torch.asin(gazing), torch.tensor([unit.axis]).double())
+        # Light from the probe meets it under another angle too.
+        assert torch.allclose(tilts, unit.sines(gazing, torch.from_numpy(place) / 5.5), atol=1e-12)
+        assert not torch.allclose(tilts, unit.sines(gazing), atol=1e-3)
+    # A roll turns the plate, so that each camera looks where it did.
+    before = {id(one): tilts for one, tilts, _ in shown}
+    shown.clear()
+    returns_of(scene, gaze, np.zeros((1, 2)), np.full(1, 0.4), np.full(1, 5.5))
+    assert len(shown) == len(before)
+    for (_, tilts, _), earlier in zip(shown, before.values(), strict=True):
+        torch.testing.assert_close(tilts, earlier, rtol=0, atol=1e-12)
 
 
 def test_a_probe_in_the_hand_moves_all_that_it_sees() -> None:
