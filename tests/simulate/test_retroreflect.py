@@ -54,6 +54,13 @@ def test_rotations_that_mean_nothing_are_refused(rotation: Any) -> None:
         retroreflect(scene(), rotation)
 
 
+@pytest.mark.parametrize("sine", [1.0, 1.5, math.nan, math.inf])
+def test_a_gaze_of_no_sine_is_refused(sine: float) -> None:
+    for name in ("thin-lens", "rotation"):
+        with pytest.raises(InputError, match="sines: must be below 1 in all, is"):
+            gaze_of(load_scene(name), torch.tensor([[0.0, 0.0], [0.0, sine]], dtype=torch.float64))
+
+
 @pytest.mark.parametrize(
     ("options", "where"),
     [
