@@ -186,6 +186,17 @@ def test_wavelengths_add_and_photons_are_counted(validated: Any) -> None:
               "sum of each line's own")  # fmt: skip
 
 
+@pytest.mark.parametrize("name", ["power", "distance", "focal_length", "object_distance"])
+@pytest.mark.parametrize("value", [-4.0, 0.0, math.nan])
+def test_values_in_place_of_the_scene_s_are_checked(name: str, value: float) -> None:
+    for given in (value, torch.tensor(value, dtype=torch.float64, requires_grad=True)):
+        with pytest.raises(InputError, match=f"{name}: must be positive"):
+            Camera(scene(), 0.0, device="cpu", **{name: given})
+    if name != "object_distance":
+        with pytest.raises(InputError, match=f"{name}: must be positive and finite, is inf"):
+            Camera(scene(), 0.0, device="cpu", **{name: math.inf})
+
+
 def test_the_focus_moves_with_the_wavelength(validated: Any) -> None:
     """Of a singlet set at 532 nm, light of 785 nm comes back best where its vergence makes the return collimated."""
     glass = {"target__lens__glass": "N-BK7", "target__lens__design_wavelength": "532 nm"}

@@ -28,7 +28,7 @@ from tapetum.simulate.pixel_area import PixelArea
 from tapetum.simulate.pupil_fits import PupilFits
 from tapetum.simulate.radiometry import beam_radius, irradiance_at_target
 from tapetum.simulate.reflections import glinting, longest_path, mirrors
-from tapetum.simulate.scene_optics import SceneOptics
+from tapetum.simulate.scene_optics import SceneOptics, positive
 from tapetum.simulate.sensor_edge import EdgeRule, SpotLight, Spots
 from tapetum.simulate.thin_errors import faded_by_tilted_planes, of_narrow_beam, of_the_way, of_tilted_planes
 from tapetum.simulate.traced_again import tilts_like
@@ -127,6 +127,7 @@ class Camera:
             found,
         )
         optics.check()
+        positive(self._power, "power", ("W", "watts"))
         self._optics, self._steepest = optics, steepest
         self._return_radius = optics.widest_return()
         self._like: Camera | None = None
