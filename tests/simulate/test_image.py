@@ -82,7 +82,7 @@ def test_a_full_well_saturates_and_the_dark_stays_at_zero() -> None:
 
 
 def test_the_seed_decides_the_frame(image: Image) -> None:
-    probe = load_scene("thin-lens").probe
+    probe = load_scene("thin-lens", ["probe.sensor.pitch=2 um"]).probe
     assert np.array_equal(expose(image, probe, 1), expose(image, probe, 1))
     assert not np.array_equal(expose(image, probe, 1), expose(image, probe, 2))
 
