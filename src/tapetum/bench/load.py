@@ -200,11 +200,8 @@ def _rotation(value: object) -> object:
         remedy = "give a list: about y, then about x"
         raise InputError(f"is without order: {value!r:.40}", where="rotation", remedy=remedy)
     # An array without dimensions is a number, though of an iterable type.
-    several = isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping)
-    if several and getattr(value, "ndim", 1) > 0:
-        angles: object = [_angle(one) for one in value]
-    else:
-        angles = _angle(value)
+    single = isinstance(value, str | bytes | Mapping) or getattr(value, "ndim", 1) == 0
+    angles = _angle(value) if single or not isinstance(value, Iterable) else [_angle(one) for one in value]
     return [0.0, angles] if isinstance(angles, float | str) else angles
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,14 @@ if TYPE_CHECKING:
 
 __all__ = ["plan_scene", "retroreflect"]
 
-Rotation = float | Sequence[float] | Sequence[Sequence[float]] | npt.NDArray[np.float64] | torch.Tensor
+Rotation = (
+    float
+    | Sequence[float]
+    | Sequence[Sequence[float]]
+    | Sequence[torch.Tensor]
+    | npt.NDArray[np.float64]
+    | torch.Tensor
+)
 _DTYPES = (torch.complex64, torch.complex128)
 
 
@@ -143,10 +150,10 @@ def _doubles(value: Any) -> torch.Tensor:
     if np.asarray(value).dtype.kind not in "biufO":
         raise TypeError(f"{value!r:.40} holds no numbers")
     # A copy in the machine's own order of bytes, which PyTorch takes whatever the array was.
-    return torch.from_numpy(np.array(value, dtype=np.float64, order="C"))
+    return torch.as_tensor(np.array(value, dtype=np.float64, order="C"))
 
 
 def _holds_tensors(value: Any) -> bool:
-    return isinstance(value, list | tuple) and any(
-        isinstance(one, torch.Tensor) or _holds_tensors(one) for one in value
-    )
+    if not isinstance(value, list | tuple):
+        return False
+    return any(isinstance(one, torch.Tensor) or _holds_tensors(one) for one in cast("Sequence[Any]", value))
