@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,6 +31,8 @@ from tapetum.bench.quantity import to_si
         ("30 Hz", "1/s", 30.0),
         (4, "m", 4.0),
         (0.5, "rad", 0.5),
+        (np.float32(0.5), "rad", 0.5),
+        (np.int64(4), "m", 4.0),
     ],
 )
 def test_reads(text: object, unit: str, value: float) -> None:
@@ -47,6 +50,8 @@ def test_reads(text: object, unit: str, value: float) -> None:
         ("", "m", "'' is no quantity"),
         (None, "m", "None is no quantity; write a number in m"),
         (True, "m", "True is no quantity"),
+        (np.bool_(True), "m", "is no quantity"),
+        (4j, "m", "4j is no quantity"),
         ([1], "m", "is no quantity"),
         ("nan", "m", "'nan' is not a finite number"),
         (math.inf, "W", "inf is not a finite number"),

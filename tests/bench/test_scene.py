@@ -11,6 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -196,6 +197,23 @@ def test_keys_are_found_by_their_last_words() -> None:
 def test_a_bare_rotation_is_in_degrees_about_x(value: str, degrees: tuple[float, float]) -> None:
     scene = load_scene("thin-lens", [f"rotation={value}"])
     assert scene.target.rotation == pytest.approx(tuple(math.radians(d) for d in degrees))
+
+
+def test_a_rotation_of_any_sequence_is_in_degrees() -> None:
+    scene = load_scene("thin-lens")
+    for value, degrees in (
+        (np.array([0.1, 0.2]), (0.1, 0.2)),
+        (np.array([0.1, 0.2], np.float32), (0.1, 0.2)),
+        (range(1, 3), (1, 2)),
+        (iter((0.1, 0.2)), (0.1, 0.2)),
+        (np.array(0.2), (0, 0.2)),
+        (np.float32(0.2), (0, 0.2)),
+    ):
+        turned = with_values(scene, {"rotation": value}).target.rotation
+        assert turned == pytest.approx(tuple(math.radians(d) for d in degrees), rel=1e-6)
+    for value in ({0.1, 0.2}, {"x": 0.1}, np.array([[0.1, 0.2]]), np.array([0.1, 0.2, 0.3]), None, object()):
+        with pytest.raises(InputError, match="rotation"):
+            with_values(scene, {"rotation": value})
 
 
 def test_changes_are_checked_with_the_whole() -> None:

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -263,7 +264,7 @@ def test_the_flow_is_known_to_a_quarter_of_a_pixel() -> None:
 
 def test_a_colour_is_searched_by_name() -> None:
     empty = room(4)
-    lit = np.stack([glint(empty, 150, 100, 90, 1.2), empty, empty], -1)
+    lit = np.stack([np.minimum(glint(empty, 150, 100, 90, 1.2), 255), empty, empty], -1)
     dark = np.stack([empty] * 3, -1)
     by_channel = {name: tp.find_cameras(lit, dark, channel=name, false_alarms=math.inf) for name in ("red", "blue")}
     assert math.hypot(by_channel["red"].x[0] - 150, by_channel["red"].y[0] - 100) < 0.5
@@ -367,6 +368,7 @@ def test_what_stands_alone_is_searched_first() -> None:
         (np.zeros((40, 50), complex), None, "are no levels"),
         (room(0).astype(np.int32), None, "do not say at which level they saturate"),
         (room(0) / 255, None, "the highest level is"),
+        (16 * room(0), None, "where 255 is white; give levels from 0 to 255, or full_scale=4095"),
         (np.broadcast_to(np.uint8(0), (20_000, 20_000)), None, "more than can be searched"),
     ],
     ids=[
@@ -379,6 +381,7 @@ def test_what_stands_alone_is_searched_first() -> None:
         "complex",
         "int32",
         "from 0 to 1",
+        "from 0 to 4095",
         "huge",
     ],
 )
@@ -590,3 +593,13 @@ def test_of_one_frame_a_glint_among_leaves_costs_more_than_one_before_a_wall() -
         found = tp.find_cameras(lit, false_alarms=math.inf)
         cost[kind] = float(found.false_alarms[np.hypot(found.x - 240, found.y - 180) < 3].min())
     assert cost["shade"] < 0.1 and cost["leaves"] > 5 * cost["shade"]
+
+
+def test_how_many_are_searched_is_any_whole_number() -> None:
+    lit = glint(room(0), 200, 150, 60, 1.2)
+    most: Any = np.int64(5)
+    assert len(tp.find_cameras(lit, room(0), most=most)) == len(tp.find_cameras(lit, room(0), most=5))
+    for refused in (2.0, "5", np.int64(0)):
+        most = refused
+        with pytest.raises(InputError, match="most: must be a whole number from 1"):
+            tp.find_cameras(lit, room(0), most=most)

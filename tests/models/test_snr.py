@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tapetum.errors import InputError
 from tapetum.models import crop_snr
 
 
@@ -32,3 +33,23 @@ def test_neither_background_nor_depth_changes_it():
 def test_an_empty_picture_has_none_and_a_flat_one_is_no_division_by_zero():
     assert crop_snr(np.full((1, 32, 32), 7, np.uint8))[0] == 0
     assert crop_snr(np.clip(spot(0, 2.0), 0, None)[None], 255)[0] < 15
+
+
+@pytest.mark.parametrize("level", [np.nan, np.inf, -1.0])
+def test_levels_that_are_none_are_refused(level: float) -> None:
+    images = np.full((1, 32, 32), 7.0)
+    images[0, 3, 3] = level
+    with pytest.raises(InputError, match="images: intensities must be finite and not negative"):
+        crop_snr(images, 255)
+
+
+def test_negative_whole_levels_are_refused() -> None:
+    with pytest.raises(InputError, match="images: intensities must be finite and not negative"):
+        crop_snr(np.full((1, 32, 32), -7), 255)
+
+
+@pytest.mark.parametrize("side", [0, 1, 3])
+def test_crops_without_corners_are_refused(side: int) -> None:
+    with pytest.raises(InputError, match=f"images: crops of {side} x {side} pixels have no corners"):
+        crop_snr(np.full((2, side, side), 7, np.uint8))
+    assert crop_snr(np.full((2, 4, 4), 7, np.uint8)).tolist() == [0, 0]

@@ -33,3 +33,19 @@ def test_lens_makers_relation() -> None:
     assert lens_numbers(0.1, math.inf) == (0.1, 0.0)
     with pytest.raises(InputError, match="beyond the focal length"):
         lens_numbers(0.1, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "where"),
+    [
+        ((math.nan, 5.0), "focal_length"),
+        ((-0.1, 5.0), "focal_length"),
+        ((0.0, 5.0), "focal_length"),
+        ((math.inf, math.inf), "focal_length"),
+        ((0.1, math.nan), "object_distance"),
+        ((0.1, -5.0), "object_distance"),
+    ],
+)
+def test_numbers_of_no_lens_are_refused(numbers: tuple[float, float], where: str) -> None:
+    with pytest.raises(InputError, match=where):
+        lens_numbers(*numbers)

@@ -477,3 +477,11 @@ def test_a_beam_narrower_than_the_aperture_goes_in_whole() -> None:
     one = with_values(scene(), {"illumination": {"diameter": light.diameter}})
     assert beam_radius(one) == 0.5e-3 and irradiance_at_target(one) > 1e3
     assert link_budget(one).accepted_watts == pytest.approx(1e-3)
+
+
+def test_a_wavelength_of_single_precision_is_known() -> None:
+    scene = load_scene("thin-lens")
+    single: Any = np.float32(640e-9)
+    assert link_budget(scene, single) == link_budget(scene)
+    with pytest.raises(InputError, match="the scene has no light of 640"):
+        link_budget(scene, 640.01e-9)

@@ -186,6 +186,37 @@ def test_wavelengths_add_and_photons_are_counted(validated: Any) -> None:
               "sum of each line's own")  # fmt: skip
 
 
+@pytest.mark.parametrize("name", ["power", "distance", "focal_length", "object_distance"])
+@pytest.mark.parametrize("value", [-4.0, 0.0, math.nan])
+def test_values_in_place_of_the_scene_s_are_checked(name: str, value: float) -> None:
+    for given in (value, torch.tensor(value, dtype=torch.float64, requires_grad=True)):
+        with pytest.raises(InputError, match=f"{name}: must be positive"):
+            Camera(scene(), 0.0, device="cpu", **{name: given})
+    if name != "object_distance":
+        with pytest.raises(InputError, match=f"{name}: must be positive and finite, is inf"):
+            Camera(scene(), 0.0, device="cpu", **{name: math.inf})
+
+
+@pytest.mark.parametrize("steepest", [-0.1, 1.0, math.nan, math.inf])
+def test_a_steepest_tilt_that_is_none_is_refused(steepest: float) -> None:
+    with pytest.raises(InputError, match="steepest: must be a sine from 0, below 1, is"):
+        Camera(scene(), steepest, device="cpu")
+
+
+@pytest.mark.parametrize("sine", [0.02, -0.02, 1.5, math.nan, math.inf])
+def test_tilts_beyond_the_planned_ones_are_refused(sine: float) -> None:
+    camera = Camera(scene(), 0.01, device="cpu")
+    camera(torch.tensor([[0.006, 0.008]], dtype=torch.float32))
+    with pytest.raises(InputError, match=r"sines: holds a tilt of sine .* is planned for 0\.01 at most"):
+        camera(torch.tensor([[0.0, 0.0], [0.0, sine]], dtype=torch.float64))
+
+
+def test_gradients_flow_at_the_steepest_tilt() -> None:
+    sines = torch.tensor([[0.0, 0.01]], dtype=torch.float64, requires_grad=True)
+    Camera(scene(), 0.01, device="cpu")(sines).square().sum().backward()
+    assert sines.grad is not None and bool(torch.isfinite(sines.grad).all()) and float(sines.grad.abs().max()) > 0
+
+
 def test_the_focus_moves_with_the_wavelength(validated: Any) -> None:
     """Of a singlet set at 532 nm, light of 785 nm comes back best where its vergence makes the return collimated."""
     glass = {"target__lens__glass": "N-BK7", "target__lens__design_wavelength": "532 nm"}

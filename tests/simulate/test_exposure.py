@@ -220,6 +220,48 @@ def test_light_of_no_known_wavelength_is_refused() -> None:
             call()
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1e-3])
+def test_light_that_is_none_is_refused(value: float) -> None:
+    light = torch.full((1, 48, 64), 1e-4)
+    light[0, 3, 5] = value
+    image = Image(light, sensor().pitch, {"wavelength": 640e-9})
+    for call in (
+        lambda: expose(image, Probe(LENS, sensor(background=100.0)), 0),
+        lambda: expected_counts(image, sensor()),
+        lambda: count_variance(light, sensor(), 640e-9),
+    ):
+        with pytest.raises(InputError, match=f"image: holds {value:.3g} W/m².*give finite irradiances from 0"):
+            call()
+
+
+def test_rounding_below_zero_is_darkness() -> None:
+    light = torch.full((1, 48, 64), 1e-4)
+    light[0, 3, 5] = -1e-12
+    image = Image(light, sensor().pitch, {"wavelength": 640e-9})
+    assert expose(image, Probe(LENS, sensor(read_noise=0.0)), 0)[0, 3, 5] == 0
+
+
+def test_pixels_of_another_pitch_are_refused() -> None:
+    image = Image(torch.zeros(1, 48, 64), 5e-6, {"wavelength": 640e-9})
+    for call in (
+        lambda: expose(image, Probe(LENS, sensor(pitch=2.2e-6)), 0),
+        lambda: expected_counts(image, sensor(pitch=2.2e-6)),
+        lambda: count_variance(image, sensor(pitch=2.2e-6)),
+    ):
+        with pytest.raises(InputError, match=r"image: has pixels of 5 µm, the probe's sensor of 2\.2 µm"):
+            call()
+
+
+@pytest.mark.parametrize("level", [1e9, 1e12, 1e20, 1e30, math.inf])
+def test_any_bright_light_saturates(level: float) -> None:
+    for one in (sensor(), sensor(**FINE), sensor(full_well=1e9)):
+        numbers = digitise(torch.full((1000,), 10 * level), one, np.random.default_rng(0))
+        assert (numbers > 0.9 * min(2**one.bits - 1, gain_of(one) * one.full_well + one.offset)).all()
+        mean, variance = count_moments(torch.tensor(10 * level, dtype=torch.float64), one)
+        assert float(mean) == pytest.approx(min(2**one.bits - 1, gain_of(one) * one.full_well + one.offset))
+        assert float(variance) == pytest.approx(1 / 12, abs=1e-3)
+
+
 SENSORS = {
     "fine": FINE,
     "no read noise": {**FINE, "read_noise": 0.0, "offset": 0.0},

@@ -418,3 +418,8 @@ def test_other_values_refused() -> None:
     for name, nm, seconds in (("2", 850, 100), ("1C", 640, 100), ("1", 640, 10)):
         with pytest.raises(InputError):
             ael(name, nm * 1e-9, seconds)
+
+
+def test_distances_of_a_generator_are_kept() -> None:
+    beam = Beam(640e-9, 1e-3, 1e-3)
+    assert [one.distance for one in eye_safety(beam, (d for d in (1.0, 2.0))).at] == [1.0, 2.0]

@@ -82,7 +82,7 @@ def test_a_full_well_saturates_and_the_dark_stays_at_zero() -> None:
 
 
 def test_the_seed_decides_the_frame(image: Image) -> None:
-    probe = load_scene("thin-lens").probe
+    probe = load_scene("thin-lens", ["probe.sensor.pitch=2 um"]).probe
     assert np.array_equal(expose(image, probe, 1), expose(image, probe, 1))
     assert not np.array_equal(expose(image, probe, 1), expose(image, probe, 2))
 
@@ -97,3 +97,15 @@ def test_the_sign_is_harder_to_tell_near_the_axis_and_easier_with_a_second_beam(
     assert float(with_beam[0]) < float(with_beam[1])
     assert (with_beam > without).all()
     assert torch.isfinite(with_beam).all()
+
+
+def test_an_array_of_an_image_is_a_copy_where_one_is_asked_for(image: Image) -> None:
+    doubles = Image(image.irradiance.double(), image.pitch, image.metadata)
+    shared = np.asarray(doubles)
+    for copied in (np.array(doubles), np.array(doubles, dtype=np.float32), doubles.to_xarray().values, np.array(image)):
+        copied[:] = -1
+        assert np.array_equal(doubles.numpy(), image.irradiance)
+    assert np.shares_memory(shared, doubles.irradiance.numpy())
+    assert np.shares_memory(np.asarray(doubles, copy=False), shared)
+    with pytest.raises(InputError, match=r"image: is torch\.float32 on cpu, no float64 array without a copy"):
+        np.asarray(image, copy=False)

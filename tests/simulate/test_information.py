@@ -57,6 +57,23 @@ def bench(*changes: str) -> Scene:
     return load_scene("thin-lens", [*BENCH, *changes])
 
 
+@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
+def test_information_in_any_mode_of_the_caller(mode: Callable[[], Any]) -> None:
+    scene = bench()
+    want = fisher(scene).information
+    with mode():
+        found = fisher(scene).information
+    assert torch.equal(found, want) and not found.requires_grad
+    with mode():
+        traced = fisher(load_scene("rotation", ["sampling.accuracy=0.3"]), ("gaze_y", "power")).information
+    assert bool(torch.isfinite(traced).all())
+
+
+def test_values_of_unknown_names_are_refused() -> None:
+    with pytest.raises(InputError, match=r"values: unknown parameter 'Power'; use gaze_x, .*power"):
+        expected_electrons(bench(), {"Power": 5.0})
+
+
 def noise_variance(sensor: ProbeSensor) -> float:
     """Of readout and rounding, in electrons squared."""
     return sensor.read_noise**2 + 1 / (12 * gain_of(sensor) ** 2)

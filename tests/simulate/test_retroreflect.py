@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+import warnings
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
 from tapetum.bench import Scene, load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.simulate import Camera, gaze_of, retroreflect, tilt_of_gaze
+from tapetum.simulate.retroreflect import _degrees
 
 
 def scene(**changes: Any) -> Scene:
@@ -30,6 +33,30 @@ def test_rotations_one_or_many_about_one_axis_or_two() -> None:
     assert both.metadata["rotation_deg"] == [(0.0, pytest.approx(0.3))]
     turned = scene(target__rotation=["0 deg", "0.3 deg"])
     assert torch.allclose(retroreflect(turned).irradiance, alone.irradiance)
+
+
+def test_rotations_in_any_container() -> None:
+    angles = np.array([0.3, 0.1])
+    frozen = angles.copy()
+    frozen.flags.writeable = False
+    wanted = [(0.0, 0.3), (0.0, 0.1)]
+    containers = (angles[::-1].copy()[::-1], angles.astype(">f8"), pd.Series(angles, [7, 8]), frozen)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for given in (*containers, tuple(angles), list(torch.tensor(angles))):
+            assert _degrees(scene(), given).tolist() == pytest.approx(np.array(wanted))
+        turned = np.array(wanted)[:, ::-1]
+        for given in (turned, pd.DataFrame(turned), [[0.3, torch.tensor(0.0)], torch.tensor([0.1, 0.0])]):
+            assert _degrees(scene(), given).tolist() == pytest.approx(turned, abs=1e-7)
+    for refused in ("0.3", ["0.3"], ["0.3", 0.1], [[0.1], [0.1, 0.2]], [torch.zeros(1), torch.zeros(2)], object()):
+        with pytest.raises(InputError, match="rotation: is no number"):
+            _degrees(scene(), refused)
+
+
+def test_gradients_reach_tensors_in_a_list() -> None:
+    x, y = (torch.tensor(one, dtype=torch.float64, requires_grad=True) for one in (0.1, 0.2))
+    _degrees(scene(), [[0.0, x], [y, x]]).sum().backward()
+    assert (float(x.grad or 0), float(y.grad or 0)) == (2.0, 1.0)
 
 
 def test_metadata_says_how_it_was_made() -> None:
@@ -52,6 +79,13 @@ def test_metadata_says_how_it_was_made() -> None:
 def test_rotations_that_mean_nothing_are_refused(rotation: Any) -> None:
     with pytest.raises(InputError, match="rotation"):
         retroreflect(scene(), rotation)
+
+
+@pytest.mark.parametrize("sine", [1.0, 1.5, math.nan, math.inf])
+def test_a_gaze_of_no_sine_is_refused(sine: float) -> None:
+    for name in ("thin-lens", "rotation"):
+        with pytest.raises(InputError, match="sines: must be below 1 in all, is"):
+            gaze_of(load_scene(name), torch.tensor([[0.0, 0.0], [0.0, sine]], dtype=torch.float64))
 
 
 @pytest.mark.parametrize(

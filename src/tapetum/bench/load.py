@@ -196,7 +196,12 @@ _FROM_FILES: dict[tuple[str, ...], Callable[[object], object]] = {
 
 
 def _rotation(value: object) -> object:
-    angles = [_angle(one) for one in value] if isinstance(value, list | tuple) else _angle(value)
+    if isinstance(value, set | frozenset):
+        remedy = "give a list: about y, then about x"
+        raise InputError(f"is without order: {value!r:.40}", where="rotation", remedy=remedy)
+    # An array without dimensions is a number, though of an iterable type.
+    single = isinstance(value, str | bytes | Mapping) or getattr(value, "ndim", 1) == 0
+    angles = _angle(value) if single or not isinstance(value, Iterable) else [_angle(one) for one in value]
     return [0.0, angles] if isinstance(angles, float | str) else angles
 
 

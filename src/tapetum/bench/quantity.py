@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 import re
 from functools import cache
 from typing import Annotated, Any
@@ -41,7 +42,7 @@ def to_si(value: object, unit: str) -> float:
     Raises a ValueError for text that is no quantity, another dimension, and infinite or NaN values (`inf` is allowed
     for lengths).
     """
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
+    if isinstance(value, bool) or not isinstance(value, numbers.Real | str):
         raise ValueError(f"{value!r} is no quantity; write a number in {unit} or, for example, '{_example(unit)}'")
     try:
         number = float(value)

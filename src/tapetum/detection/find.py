@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Sequence
 from typing import Any
 
@@ -121,7 +122,7 @@ def find_cameras(
         raise InputError(f"must be positive, is {false_alarms}", where="false_alarms", remedy="0.01 is usual")
     if not largest > 0:
         raise InputError(f"must be positive, is {largest}", where="largest", remedy="give a diameter in pixels")
-    if most is not None and not (isinstance(most, int) and most >= 1):
+    if most is not None and not (isinstance(most, numbers.Integral) and most >= 1):
         raise InputError(f"must be a whole number from 1, is {most!r}", where="most")
     frames = {"lit": lit} if dark is None else {"lit": lit, "dark": dark}
     given = list(full_scale) if isinstance(full_scale, Sequence) else [full_scale] * len(frames)
@@ -270,6 +271,9 @@ def _checked(image: NDArray[np.generic], where: str, full_scale: float | None) -
         if full_scale is None and 0 < float(array.max()) <= 1:
             what = f"the highest level is {float(array.max()):.3g} where 255 is white"
             raise InputError(what, where=where, remedy="give levels from 0 to 255, or full_scale=1")
+        if full_scale is None and float(array.max()) > FULL:
+            what = f"the highest level is {float(array.max()):.6g} where {FULL:g} is white"
+            raise InputError(what, where=where, remedy="give levels from 0 to 255, or full_scale=4095")
     return array
 
 

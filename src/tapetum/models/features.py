@@ -14,7 +14,16 @@ from torch import Tensor
 from tapetum.errors import InputError
 from tapetum.optics.zernike import mode_count, noll_to_nm, zernike_basis
 
-__all__ = ["ORDER", "POWERS", "SCALES", "as_images", "feature_names", "root_intensity", "zernike_features"]
+__all__ = [
+    "ORDER",
+    "POWERS",
+    "SCALES",
+    "as_images",
+    "check_levels",
+    "feature_names",
+    "root_intensity",
+    "zernike_features",
+]
 
 SCALES = (100, 200, 300, 400)
 ORDER = 12
@@ -54,10 +63,15 @@ def as_images(
     return array, float(full_scale)
 
 
-def root_intensity(images: NDArray[np.generic], full_scale: float, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Return the root of the intensity in 8-bit counts, 0 ... 16; raise an InputError for negative or NaN floats."""
+def check_levels(images: NDArray[np.generic]) -> None:
+    """Raise an InputError for negative or NaN levels of images of any shape."""
     if images.dtype.kind != "u" and not (np.isfinite(images).all() and images.min(initial=0) >= 0):
         raise InputError("intensities must be finite and not negative", where="images", remedy="clip them at 0")
+
+
+def root_intensity(images: NDArray[np.generic], full_scale: float, dtype: torch.dtype = torch.float32) -> Tensor:
+    """Return the root of the intensity in 8-bit counts, 0 ... 16; raise an InputError for negative or NaN floats."""
+    check_levels(images)
     if images.dtype == np.uint16 or images.dtype.kind == "f":
         # torch has few operations on uint16; float32 holds its values exactly.
         images = images.astype(np.float64 if dtype == torch.float64 else np.float32)

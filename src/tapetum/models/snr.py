@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tapetum.models.features import as_images
+from tapetum.errors import InputError
+from tapetum.models.features import as_images, check_levels
 
 __all__ = ["crop_snr"]
 
@@ -17,6 +18,8 @@ __all__ = ["crop_snr"]
 _GATE = 4.0
 # Side of the four squares in the corners of a crop that lie outside its inscribed disc.
 _CORNER = (1 - math.sqrt(0.5)) / 2
+# Pixels across such a square at least: noise is taken of the differences of neighbours.
+_LEAST_CORNER = 2
 
 
 def crop_snr(images: NDArray[np.generic], full_scale: float | None = None) -> NDArray[np.float64]:
@@ -32,9 +35,18 @@ def crop_snr(images: NDArray[np.generic], full_scale: float | None = None) -> ND
         [N, side, side] crops centred on the RR, counts.
     full_scale
         Largest count of the camera; 255 by default for uint8.
+
+    Raises
+    ------
+    InputError
+        For images that are no square crops of 4 pixels or more, or whose levels are negative or not finite.
     """
     array, _ = as_images(images, full_scale)
-    edge = max(2, round(_CORNER * array.shape[1]))
+    check_levels(array)
+    if array.shape[1] < 2 * _LEAST_CORNER:
+        what = f"crops of {array.shape[1]} x {array.shape[1]} pixels have no corners of {_LEAST_CORNER} pixels"
+        raise InputError(what, where="images", remedy=f"give {2 * _LEAST_CORNER} pixels or more a side")
+    edge = max(_LEAST_CORNER, round(_CORNER * array.shape[1]))
     ends = np.r_[:edge, -edge:0]
     corners = array[:, ends[:, None], ends].astype(np.float64)
     # Not across the gap between the left and the right corners.

@@ -81,8 +81,14 @@ def lens_numbers(focal_length: float, object_distance: float) -> tuple[float, fl
     Raises
     ------
     InputError
-        When the object is not farther away than the focal length: there is no real image.
+        When the object is not farther away than the focal length: there is no real image. For a focal length that is
+        not positive and finite.
     """
+    if not 0 < focal_length < math.inf:
+        what = f"must be positive and finite, is {focal_length:g} m"
+        raise InputError(what, where="focal_length", remedy="give metres")
+    if math.isnan(object_distance):
+        raise InputError("must be positive, is nan m", where="object_distance", remedy="give metres")
     if object_distance <= focal_length:
         raise InputError(
             f"{object_distance:g} m is not beyond the focal length {focal_length:g} m, so nothing can be in focus",

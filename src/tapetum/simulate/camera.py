@@ -28,7 +28,7 @@ from tapetum.simulate.pixel_area import PixelArea
 from tapetum.simulate.pupil_fits import PupilFits
 from tapetum.simulate.radiometry import beam_radius, irradiance_at_target
 from tapetum.simulate.reflections import glinting, longest_path, mirrors
-from tapetum.simulate.scene_optics import SceneOptics
+from tapetum.simulate.scene_optics import SceneOptics, positive
 from tapetum.simulate.sensor_edge import EdgeRule, SpotLight, Spots
 from tapetum.simulate.thin_errors import faded_by_tilted_planes, of_narrow_beam, of_the_way, of_tilted_planes
 from tapetum.simulate.traced_again import tilts_like
@@ -63,7 +63,7 @@ class Camera:
     scene
         Target, probe and light; the scene's own rotation is not used.
     steepest
-        Sine of the steepest tilt that will be asked for.
+        Sine of the steepest tilt that will be asked for: from 0, below 1.
     output
         Pixels to compute in place of the probe's whole sensor.
     object_distance, focal_length, distance, power
@@ -103,6 +103,9 @@ class Camera:
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "auto",
     ) -> None:
+        if not 0 <= steepest < 1:
+            what = f"must be a sine from 0, below 1, is {steepest}"
+            raise InputError(what, where="steepest", remedy="give the sine of the steepest tilt")
         self.scene, self.output = scene, output or sensor_grid(scene)
         self._edge_rule: EdgeRule = edge
         self._edge_error, self._faded = 0.0, 1.0
@@ -127,6 +130,7 @@ class Camera:
             found,
         )
         optics.check()
+        positive(self._power, "power", ("W", "watts"))
         self._optics, self._steepest = optics, steepest
         self._return_radius = optics.widest_return()
         self._like: Camera | None = None
@@ -258,7 +262,14 @@ class Camera:
         """Irradiance [B, H, W] in W/m² for tilts [B, 2] (sines), the RR at centres [B, 2] (metres) on the sensor.
 
         `equivalent`: convert each wavelength to the irradiance of the scene's first wavelength with as many photons.
+
+        Raises an InputError for tilts that are not finite, or steeper than `steepest`: the stated error holds up to it.
         """
+        steep = float(sines.detach().double().square().sum(-1).amax().sqrt()) if len(sines) else 0.0
+        if not steep <= self._steepest * (1 + 1e-6) + 1e-12:
+            what = f"holds a tilt of sine {steep:.6g}, and the camera is planned for {self._steepest:.6g} at most"
+            remedy = f"build it with steepest={steep:.6g}, or tilt less" if steep < 1 else "give finite sines below 1"
+            raise InputError(what, where="sines", remedy=remedy)
         if centres is None:
             centres = torch.zeros(len(sines), 2, dtype=torch.float64)
         total: torch.Tensor | None = None

@@ -30,6 +30,11 @@ __all__ += ["most_electrons", "readout_variance"]
 _HOT_STREAM = 0x407
 # Read noise, in electrons, above which clipping at zero uses a normal distribution.
 _NOISY = 8.0
+# Most electrons that are drawn: twice the largest full well. Generators draw whole numbers of 32 bits on a GPU, of 64
+# on a processor; greater ones would turn negative, and saturated pixels black.
+_MOST_DRAWN = 2e9
+# Share of the peak below zero that counts as rounding.
+_ROUNDING = 1e-6
 
 
 def expose(
@@ -54,7 +59,8 @@ def expose(
     Raises
     ------
     InputError
-        For an image that names no wavelength, and as `digitise`.
+        For an image that names no wavelength, has pixels of another pitch than the probe's, or holds light that is
+        negative or not finite; and as `digitise`.
     """
     of_type(image, Image, "image", "give what tapetum.retroreflect returns")
     try:
@@ -64,8 +70,7 @@ def expose(
             f"must be a whole number from 0, is {seed!r}", where="seed", remedy="give 0 or more"
         ) from error
     probe = probe if isinstance(probe, Probe) else as_scene(probe).probe
-    mean = electrons(image.light.detach(), probe.sensor, _wavelength(image, None))
-    return digitise(mean, probe.sensor, rng)
+    return digitise(_electrons(image, probe.sensor, None).detach().clamp_min(0), probe.sensor, rng)
 
 
 def digitise(mean: torch.Tensor, sensor: ProbeSensor, rng: np.random.Generator) -> npt.NDArray[np.uint8 | np.uint16]:
@@ -77,7 +82,7 @@ def digitise(mean: torch.Tensor, sensor: ProbeSensor, rng: np.random.Generator) 
     """
     generator = torch.Generator(mean.device).manual_seed(int(rng.integers(1 << 62)))
     light = _with_hot_pixels(mean.detach().float(), sensor)
-    counts = torch.poisson(light, generator=generator)
+    counts = torch.poisson(light.clamp(max=_MOST_DRAWN), generator=generator)
     if sensor.read_noise:
         counts += sensor.read_noise * torch.randn(counts.shape, generator=generator, device=counts.device)
     top = 2**sensor.bits - 1
@@ -134,10 +139,10 @@ def expected_counts(light: Image | torch.Tensor, sensor: ProbeSensor, wavelength
     Raises
     ------
     InputError
-        When the wavelength is not known, and as `digitise`.
+        When the wavelength is not known, for an image whose pixels have another pitch than the sensor's, for light that
+        is negative or not finite, and as `digitise`.
     """
-    irradiance = light.light if isinstance(light, Image) else light
-    return count_moments(electrons(irradiance, sensor, _wavelength(light, wavelength)), sensor)[0]
+    return count_moments(_electrons(light, sensor, wavelength), sensor)[0]
 
 
 def count_variance(light: Image | torch.Tensor, sensor: ProbeSensor, wavelength: float | None = None) -> torch.Tensor:
@@ -145,8 +150,7 @@ def count_variance(light: Image | torch.Tensor, sensor: ProbeSensor, wavelength:
 
     Parameters, errors and shape as for `expected_counts`.
     """
-    irradiance = light.light if isinstance(light, Image) else light
-    return count_moments(electrons(irradiance, sensor, _wavelength(light, wavelength)), sensor)[1]
+    return count_moments(_electrons(light, sensor, wavelength), sensor)[1]
 
 
 def count_moments(mean: torch.Tensor, sensor: ProbeSensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -169,6 +173,8 @@ def count_moments(mean: torch.Tensor, sensor: ProbeSensor) -> tuple[torch.Tensor
     # Smaller read noise counts as this: its square or inverse would not be finite.
     read_noise = sensor.read_noise if sensor.read_noise > 1e-9 else 0.0
     noise = read_noise**2
+    # From 40 deviations above the range on all numbers are the largest, and only rounding would grow.
+    light = light.clamp(max=max(high, 0.0) + 40 * math.sqrt(max(high, 0.0) + noise) + 1600)
     # A floor far below any noise keeps the root's gradient finite without light and read noise.
     variance = light + noise
     scale = variance.clamp_min(1e-6).sqrt()
@@ -235,3 +241,18 @@ def _wavelength(light: Image | torch.Tensor, wavelength: float | None) -> float:
         remedy = "give it in metres, or take an image whose metadata hold it"
         raise InputError("is not known", where="wavelength", remedy=remedy)
     return float(found)
+
+
+def _electrons(light: Image | torch.Tensor, sensor: ProbeSensor, wavelength: float | None) -> torch.Tensor:
+    """Mean electrons of an image, or of irradiance; an InputError where it is not this sensor's, or no light."""
+    if isinstance(light, Image) and not math.isclose(light.pitch, sensor.pitch, rel_tol=1e-6):
+        what = f"has pixels of {light.pitch * 1e6:.6g} µm, the probe's sensor of {sensor.pitch * 1e6:.6g} µm"
+        raise InputError(what, where="image", remedy="simulate it with this probe")
+    irradiance = light.light if isinstance(light, Image) else light
+    if irradiance.numel():
+        least, most = (float(one) for one in irradiance.detach().aminmax())
+        if not (-_ROUNDING * most <= least and most < math.inf):
+            wrong = least if math.isfinite(most) else most
+            what = f"holds {wrong:.3g} W/m², and light is neither negative nor without end"
+            raise InputError(what, where="image", remedy="give finite irradiances from 0")
+    return electrons(irradiance, sensor, _wavelength(light, wavelength))

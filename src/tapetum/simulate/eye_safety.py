@@ -11,7 +11,7 @@ light only spreads, air and optics lose nothing. The limits are in
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, cast
 
@@ -166,7 +166,7 @@ _MEANING = {
 
 def eye_safety(
     beam: Beam,
-    distances: Sequence[float] = (),
+    distances: Iterable[float] = (),
     *,
     exposure: float | None = None,
     nearest: float = NEAREST,
@@ -200,6 +200,7 @@ def eye_safety(
     if not NEAREST <= nearest < math.inf:
         remedy = "give at least 0.1 m: the eye focuses no nearer"
         raise InputError(f"{nearest:g} m is too near or not a distance", where="nearest", remedy=remedy)
+    distances = tuple(distances)
     for distance in distances:
         if not 0 < distance < math.inf:
             raise InputError(f"must be positive, is {distance:g} m", where="distances", remedy="give metres")

@@ -7,6 +7,7 @@ import math
 import torch
 
 from tapetum.bench import PrescriptionLens, Scene
+from tapetum.errors import InputError
 from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.field_map import FieldMap, field_map
 from tapetum.simulate.pupil_fits import rounded_up
@@ -29,9 +30,12 @@ def gaze_of(scene: Scene, sines: torch.Tensor) -> torch.Tensor:
     Raises
     ------
     InputError
-        For a tilt beyond the field that a traced lens and its sensor cover.
+        For a tilt beyond the field that a traced lens and its sensor cover, and for sines of 1 or more, or not finite.
     """
     size = torch.sqrt((sines**2).sum(-1, keepdim=True).clamp_min(_NO_TILT**2))
+    if not bool((size < 1).all()):
+        what = f"must be below 1 in all, is {float(size.detach().max()):g}"
+        raise InputError(what, where="sines", remedy="give the sines of angles below 90 degrees")
     traced = _traced(scene)
     if traced is not None:
         size = size.clamp_min(_NEAR_TILT)

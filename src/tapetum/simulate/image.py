@@ -67,9 +67,14 @@ class Image:
         return self.irradiance.detach().to("cpu", torch.float64).numpy()
 
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
-        """`numpy.asarray(image)`: the irradiance as float64, [B, H, W]."""
-        del copy
-        return self.numpy() if dtype is None else self.numpy().astype(dtype)
+        """`numpy.asarray(image)`: the irradiance as float64, [B, H, W]; `numpy.array(image)`: a copy of it."""
+        array = self.numpy() if dtype is None else self.numpy().astype(dtype, copy=False)
+        held = self.irradiance.device.type == "cpu" and self.irradiance.dtype == torch.float64
+        copied = not held or array.dtype != np.float64
+        if copy is False and copied:
+            what = f"is {self.irradiance.dtype} on {self.irradiance.device}, no {array.dtype} array without a copy"
+            raise InputError(what, where="image", remedy="leave copy out")
+        return array.copy() if copy and not copied else array
 
     def to_xarray(self) -> xr.DataArray:
         """The irradiance as a labelled array [image, y, x] in W/m².
@@ -90,7 +95,7 @@ class Image:
                 axes[name] = ("image", np.array([one[k] for one in turned], np.float64), {"units": "degree"})
         rest = {name: value for name, value in self.metadata.items() if name != "rotation_deg"}
         attributes = {"units": "W/m^2", "pitch": self.pitch, **_plain(rest)}
-        return xarray.DataArray(self.numpy(), axes, ("image", "y", "x"), "irradiance", attributes)
+        return xarray.DataArray(np.array(self), axes, ("image", "y", "x"), "irradiance", attributes)
 
     def plot(self, *, columns: int = 4) -> Figure:
         """Draw the square root of each irradiance, scaled to its own peak, `columns` in a row; axes in millimetres.

@@ -19,7 +19,7 @@ from tapetum.simulate.exposure import count_moments, hot_currents, most_electron
 from tapetum.simulate.gaze import field_size, gaze_of, largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import electrons
 from tapetum.simulate.traced_information import TracedSlopes, sensor_part
-from tapetum.simulate.unknowns import NUISANCES, PARAMETERS, checked_parameters, not_told
+from tapetum.simulate.unknowns import NUISANCES, PARAMETERS, check_names, checked_parameters, not_told
 
 __all__ = ["PARAMETERS", "FisherInformation", "checked_parameters", "expected_electrons", "fisher", "information_of"]
 __all__ += ["not_told", "slopes_of", "true_values"]
@@ -153,6 +153,9 @@ def slopes_of(
         return TracedSlopes(scene, names, gazes, accuracy=accuracy, dtype=dtype, device=device)
     names = checked_parameters(scene, names)
 
+    # Derivatives are taken here whatever the caller's mode is.
+    @torch.inference_mode(False)
+    @torch.enable_grad()
     def at(number: int) -> tuple[torch.Tensor, torch.Tensor]:
         gaze = gazes[number].to(torch.float64)
         start = true_values(scene, names) | dict(zip(("gaze_x", "gaze_y"), gaze.tolist(), strict=True))
@@ -168,6 +171,8 @@ def slopes_of(
     return at
 
 
+@torch.inference_mode(False)
+@torch.enable_grad()
 def information_of(mean: torch.Tensor, jacobian: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
     """Fisher matrix [P, P] of a frame of mean electrons [H, W], without hot pixels', with slopes [P, H W]."""
     weight = _information_of_pixels(mean, sensor).flatten()
@@ -199,8 +204,9 @@ def expected_electrons(
     Raises
     ------
     InputError
-        As `retroreflect`.
+        For an unknown name, and as `retroreflect`.
     """
+    check_names(values, "values")
     given = {name: torch.as_tensor(value, dtype=torch.float64) for name, value in values.items()}
     own = {name: torch.tensor(value, dtype=torch.float64) for name, value in true_values(scene, PARAMETERS).items()}
     at = own | given

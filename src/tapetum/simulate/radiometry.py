@@ -121,9 +121,10 @@ def line_of(scene: Scene, wavelength: float | None = None) -> tuple[float, float
     known = [(light.wavelength, light.power), *((line.wavelength, line.power) for line in light.lines)]
     if wavelength is None:
         return known[0]
-    for line in known:
-        if math.isclose(line[0], wavelength, rel_tol=1e-9):
-            return line
+    nearest = min(known, key=lambda line: abs(line[0] - wavelength))
+    # Wavelengths of single precision too.
+    if math.isclose(nearest[0], wavelength, rel_tol=1e-6):
+        return nearest
     names = ", ".join(f"{one * 1e9:g}" for one, _ in known)
     what = f"the scene has no light of {wavelength * 1e9:g} nm"
     raise InputError(what, where="wavelength", remedy=f"choose one of {names} nm")

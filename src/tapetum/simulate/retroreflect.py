@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,14 @@ if TYPE_CHECKING:
 
 __all__ = ["plan_scene", "retroreflect"]
 
-Rotation = float | Sequence[float] | Sequence[Sequence[float]] | npt.NDArray[np.float64] | torch.Tensor
+Rotation = (
+    float
+    | Sequence[float]
+    | Sequence[Sequence[float]]
+    | Sequence[torch.Tensor]
+    | npt.NDArray[np.float64]
+    | torch.Tensor
+)
 _DTYPES = (torch.complex64, torch.complex128)
 
 
@@ -109,7 +116,7 @@ def _degrees(scene: Scene, rotation: Rotation | None) -> torch.Tensor:
     if rotation is None:
         return torch.rad2deg(torch.tensor([scene.target.rotation], dtype=torch.float64))
     try:
-        degrees = torch.as_tensor(rotation, dtype=torch.float64)
+        degrees = _doubles(rotation)
     except (TypeError, ValueError, RuntimeError) as error:
         remedy = "give a number, [B] or [B, 2] in degrees"
         raise InputError(f"is no number: {rotation!r:.40}", where="rotation", remedy=remedy) from error
@@ -128,3 +135,25 @@ def _degrees(scene: Scene, rotation: Rotation | None) -> torch.Tensor:
             what, _, remedy = too_steep.partition("; ")
             raise InputError(what, where="rotation", remedy=remedy)
     return degrees
+
+
+def _doubles(value: Any) -> torch.Tensor:
+    """Numbers in any container as float64; of tensors, or a sequence with tensors in it, gradients are kept.
+
+    Raises a TypeError, ValueError or RuntimeError for what is no number, or has no regular shape.
+    """
+    if isinstance(value, torch.Tensor):
+        return value.to(torch.float64)
+    if _holds_tensors(value):
+        return torch.stack([_doubles(one) for one in value])
+    # NumPy would read numbers from text.
+    if np.asarray(value).dtype.kind not in "biufO":
+        raise TypeError(f"{value!r:.40} holds no numbers")
+    # A copy in the machine's own order of bytes, which PyTorch takes whatever the array was.
+    return torch.as_tensor(np.array(value, dtype=np.float64, order="C"))
+
+
+def _holds_tensors(value: Any) -> bool:
+    if not isinstance(value, list | tuple):
+        return False
+    return any(isinstance(one, torch.Tensor) or _holds_tensors(one) for one in cast("Sequence[Any]", value))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,10 +22,11 @@ from tapetum.simulate.reflections import mirrors, scatterers
 from tapetum.simulate.sensor_edge import SensorEdge
 from tapetum.simulate.traced_lens import TracedLens
 
-__all__ = ["SceneOptics"]
+__all__ = ["SceneOptics", "positive"]
 
 # Wavelengths in the radius of an opening whose first dark ring is 0.12 rad from the axis.
 _LEAST_WIDTH = 5
+_FINITE = sys.float_info.max
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,12 +102,9 @@ class SceneOptics:
 
         Raises InputError.
         """
-        focal_length, object_distance = float(self.focal_length.detach()), float(self.object_distance.detach())
-        if not focal_length > 0 or math.isinf(focal_length):
-            raise InputError(f"must be positive, is {focal_length} m", where="focal_length", remedy="give metres")
-        if not object_distance > 0:
-            raise InputError(f"must be positive, is {object_distance} m", where="object_distance", remedy="give metres")
-        lens_numbers(focal_length, object_distance)
+        focal_length = positive(self.focal_length, "focal_length")
+        lens_numbers(focal_length, positive(self.object_distance, "object_distance", most=math.inf))
+        positive(self.distance, "distance")
         scene, light = self.scene, self.scene.illumination
         least = _LEAST_WIDTH * max(self.wavelengths)
         beam = "divergence" if light.divergence is not None else "diameter"
@@ -194,3 +193,13 @@ class SceneOptics:
                 spread = 2 * one.diffuse.spread / one.image_distance
                 widest = max(widest, replace(g, image_distance=one.image_distance).picture_angle + spread)
         return widest
+
+
+def positive(value: torch.Tensor, where: str, unit: tuple[str, str] = ("m", "metres"), most: float = _FINITE) -> float:
+    """The number that a tensor holds; an InputError that names `where`, unless it is above 0 and at most `most`."""
+    number = float(value.detach())
+    if not 0 < number <= most:
+        finite = "" if math.isinf(most) else " and finite"
+        what = f"must be positive{finite}, is {number} {unit[0]}"
+        raise InputError(what, where=where, remedy=f"give {unit[1]}")
+    return number

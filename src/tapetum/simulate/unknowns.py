@@ -10,7 +10,8 @@ from tapetum.errors import InputError
 from tapetum.simulate.radiometry import beam_radius
 from tapetum.simulate.reflections import only_sensor
 
-__all__ = ["NUISANCES", "PARAMETERS", "PHOTOSITES", "TRACED", "checked_parameters", "has_photosites", "not_told"]
+__all__ = ["NUISANCES", "PARAMETERS", "PHOTOSITES", "TRACED", "check_names", "checked_parameters"]
+__all__ += ["has_photosites", "not_told"]
 
 PARAMETERS = {
     "gaze_x": "fraction of the field",
@@ -52,9 +53,7 @@ def not_told(scene: Scene, name: str) -> str | None:
 def checked_parameters(scene: Scene, parameters: Sequence[str], known: Iterable[str] = PARAMETERS) -> tuple[str, ...]:
     """Parameters of `fisher`, checked against the `known` ones; refuse those without a limit in the scene."""
     names = (parameters,) if isinstance(parameters, str) else tuple(parameters)
-    for name in names:
-        if name not in (all_known := tuple(known)):
-            raise InputError(f"unknown parameter {name!r}", where="parameters", remedy=f"use {', '.join(all_known)}")
+    check_names(names, "parameters", known)
     if not names or len(set(names)) < len(names):
         raise InputError(f"{list(names)} names none, or one twice", where="parameters", remedy="name each once")
     for name in names:
@@ -62,6 +61,14 @@ def checked_parameters(scene: Scene, parameters: Sequence[str], known: Iterable[
             why, other = refused
             raise InputError(f"{name}: {why}", where="parameters", remedy=f"leave {name} out, or {other}")
     return names
+
+
+def check_names(names: Iterable[str], where: str, known: Iterable[str] = PARAMETERS) -> None:
+    """Raise an InputError for a parameter that is not among the `known` ones."""
+    all_known = tuple(known)
+    for name in names:
+        if name not in all_known:
+            raise InputError(f"unknown parameter {name!r}", where=where, remedy=f"use {', '.join(all_known)}")
 
 
 def _refusal(scene: Scene, name: str) -> tuple[str, str] | None:
