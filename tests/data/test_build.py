@@ -147,6 +147,15 @@ def test_nothing_is_overwritten_unasked(film, tmp_path: Path):
     assert open_dataset(path).tp.side == 10
 
 
+def test_a_folder_of_something_else_is_never_replaced(film, tmp_path: Path):
+    other = tmp_path / "set.zarr"
+    other.mkdir()
+    (other / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="no tapetum-dataset that may be replaced"):
+        build_dataset([film()], other, side=8, overwrite=True)
+    assert (other / "notes.txt").read_text() == "mine"
+
+
 def test_an_interrupted_build_leaves_nothing(film, tmp_path: Path):
     def stop(items, what, *, total=None):
         for n, item in enumerate(items):

@@ -144,7 +144,7 @@ def build_dataset(
     progress
         Shown over the frames of each recording.
     overwrite
-        Replace an existing store.
+        Replace an existing dataset. No other folder ever is.
 
     Returns
     -------
@@ -154,8 +154,8 @@ def build_dataset(
     Raises
     ------
     InputError
-        When no recording is given, one has no labels, depths or labelled quantities differ, or nothing is left to train
-        or to test with. Nothing is written then.
+        When no recording is given, one has no labels, depths or labelled quantities differ, nothing is left to train
+        or to test with, or `out` may not be replaced. Nothing is written then.
     """
     rules = Rules(side, test_fraction, min_quality, min_snr, sigma, embargo=embargo)
     opened = _checked(recordings, rules)
