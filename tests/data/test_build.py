@@ -123,6 +123,11 @@ def test_whole_videos_may_train_or_test(film, tmp_path: Path):
         ([{"dark": tuple(range(16, 20))}], {}, "no frame is left to test"),
         ([{}], {"side": 0}, "side"),
         ([{}], {"test_fraction": 1.5}, "test_fraction"),
+        ([{}], {"test_fraction": float("nan")}, "test_fraction"),
+        ([{}], {"min_snr": float("nan")}, "min_snr: must be finite, is nan"),
+        ([{}], {"min_quality": float("nan")}, "min_quality: must be finite, is nan"),
+        ([{}], {"embargo": -1}, "embargo: must be 0 or more, is -1"),
+        ([{}], {"embargo": float("nan")}, "embargo: must be 0 or more, is nan"),
     ],
 )
 def test_bad_input_is_told_and_nothing_is_written(film, tmp_path: Path, films, how, word: str):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tapetum.data.crop import SIGMA
 from tapetum.data.dataset import DEVICE, QUANTITIES, STD
 from tapetum.data.write import CHUNK, LARGEST_SIDE, Rules, dataset_writer
-from tapetum.errors import InputError
+from tapetum.errors import InputError, number
 from tapetum.progress import Progress, quiet
 from tapetum.record.clocks import join
 from tapetum.record.recording import Recording, open_recording
@@ -99,6 +99,9 @@ def _checked(recordings: Sequence[str | os.PathLike[str]], rules: Rules) -> list
     if not 0 <= rules.test_fraction <= 1:
         what = f"must lie in 0 ... 1, is {rules.test_fraction}"
         raise InputError(what, where="test_fraction", remedy="the paper's is 0.2")
+    for name in ("min_quality", "min_snr"):
+        number(getattr(rules, name), name, "0 keeps every frame")
+    number(rules.embargo, "embargo", "give seconds", least=0)
     paths = [Path(r).resolve() for r in recordings]
     twice = next((p for p in paths if paths.count(p) > 1), None)
     if twice is not None:
