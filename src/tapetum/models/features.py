@@ -30,10 +30,10 @@ _BATCH = 32
 def as_images(
     images: NDArray[np.generic], full_scale: float | None, *, where: str = "images"
 ) -> tuple[NDArray[np.generic], float]:
-    """Return crops as [N, side, side] and the count of a saturated pixel, 255 by default for uint8.
+    """Return crops as [N, side, side] in the machine's byte order, and the count of a saturated pixel.
 
-    `images` are [N, side, side] or [side, side], integers or floats; `where` names them in messages. Raises an
-    InputError when shape or type do not fit, or `full_scale` is missing or not positive.
+    That is 255 by default for uint8. `images` are [N, side, side] or [side, side], integers or floats; `where` names
+    them in messages. Raises an InputError when shape or type do not fit, or `full_scale` is missing or not positive.
     """
     array = np.asarray(images)
     if array.ndim == 2:
@@ -51,7 +51,8 @@ def as_images(
     if not 0 < full_scale < math.inf:
         remedy = "give the largest count of a pixel"
         raise InputError(f"must be positive and finite, is {full_scale}", where="full_scale", remedy=remedy)
-    return array, float(full_scale)
+    # torch reads no other byte order, which FITS files have.
+    return array.astype(array.dtype.newbyteorder("="), copy=False), float(full_scale)
 
 
 def root_intensity(images: NDArray[np.generic], full_scale: float, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -61,7 +62,8 @@ def root_intensity(images: NDArray[np.generic], full_scale: float, dtype: torch.
     if images.dtype == np.uint16 or images.dtype.kind == "f":
         # torch has few operations on uint16; float32 holds its values exactly.
         images = images.astype(np.float64 if dtype == torch.float64 else np.float32)
-    root = torch.from_numpy(np.ascontiguousarray(images)).to(dtype, copy=True)
+    # Writable, as torch warns of others.
+    root = torch.from_numpy(np.require(images, requirements=["C", "W"])).to(dtype, copy=True)
     return root.mul_(255.0 / full_scale).sqrt_()
 
 
@@ -185,4 +187,4 @@ def zernike_features(
                     fitted[:, alike.numpy()] = (quadrant @ projection).numpy()
                 for p, power in enumerate(powers):
                     features[start : start + _BATCH, k, p] = fitted**power
-    return features.reshape(len(array), -1)
+    return features.reshape(len(array), len(sides) * len(powers) * modes)

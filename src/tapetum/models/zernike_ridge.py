@@ -186,7 +186,7 @@ class ZernikeRidge(Estimator):
         all_of = features.reshape(len(features), len(self.scales), len(self.powers), modes)
         low = np.abs(all_of[:, :, self.powers.index(power), : mode_count(order)]) ** (1 / power)
         found = magnitudes(low.reshape(-1, mode_count(order)), order)
-        return found.reshape(len(features), -1)
+        return found.reshape(len(features), len(self.scales) * found.shape[1])
 
     @property
     def _look_width(self) -> int:
