@@ -111,6 +111,9 @@ def test_arguments_may_be_what_the_command_line_takes(tmp_path: Path, image):
         (lambda: tp.retroreflect("thin-lens", device="cuda:99"), "device: cannot compute on 'cuda:99'"),
         (lambda: ResNet18(device="tpu"), "device: no device is called 'tpu'"),
         (lambda: build_dataset(["a.rec"], "a.zarr", side=100000), "side: is larger than the 4000 pixels"),
+        (lambda: tp.label_recording("a.rec"), "a.rec: does not exist"),
+        (lambda: tp.label_recording(3), "recording: is of type int; give its folder NAME.rec"),  # type: ignore[arg-type]
+        (lambda: list(tp.track([np.zeros((9, 9), np.uint8)])), "source[0]: is of type ndarray; give Frames"),
         (lambda: tp.detect(np.broadcast_to(np.uint8(0), (20000, 20000))), "20000 x 20000 pixels are more than"),
     ],
 )

@@ -143,6 +143,21 @@ def test_a_recording_given_twice_is_told(film, tmp_path: Path):
         build_dataset([recording, recording], tmp_path / "set.zarr", side=8)
 
 
+def test_recordings_may_be_open_and_any_iterable(film, tmp_path: Path):
+    first, second = film("a.rec", seed=1), film("b.rec", seed=2)
+    paths = build_dataset([first, second], tmp_path / "paths.zarr", side=8)
+    mixed = build_dataset((one for one in (open_recording(first), str(second))), tmp_path / "mixed.zarr", side=8)
+    assert open_dataset(mixed).tp.hash == open_dataset(paths).tp.hash
+    alone = build_dataset(open_recording(first), tmp_path / "alone.zarr", side=8)
+    assert open_dataset(alone).attrs["recordings"].count('"uuid"') == 1
+    with pytest.raises(InputError, match="given twice"):
+        build_dataset([first, open_recording(first)], tmp_path / "twice.zarr", side=8)
+    with pytest.raises(InputError, match=r"recordings\[1\]: is of type int; give its folder"):
+        build_dataset([first, 3], tmp_path / "odd.zarr", side=8)  # type: ignore[list-item]
+    with pytest.raises(InputError, match="recordings: is None"):
+        build_dataset(None, tmp_path / "odd.zarr", side=8)  # type: ignore[arg-type]
+
+
 def test_nothing_is_overwritten_unasked(film, tmp_path: Path):
     recording = film()
     path = build_dataset([recording], tmp_path / "set.zarr", side=8)
