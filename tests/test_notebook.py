@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import inspect
 import pydoc
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from matplotlib.figure import Figure
 
 import tapetum as tp
@@ -16,6 +18,7 @@ from tapetum.data import build_dataset, dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import Prediction, ResNet18
 from tapetum.record.recording import RecordingWriter, StreamInfo
+from tapetum.simulate.information import FisherInformation
 
 SMALL = ["probe.sensor.pixels=[32, 24]", "sampling.accuracy=0.1"]
 
@@ -62,6 +65,18 @@ def test_what_is_shown_is_escaped_and_says_what_was_refused():
     page = prediction()._repr_html_()
     assert "&lt;a&gt;" in page and "<a>" not in page
     assert "unlike" in page and "1 refused" in page
+
+
+def test_what_holds_arrays_is_equal_to_itself_alone(image):
+    one, other = prediction(), prediction()
+    assert one == one and one != other
+    assert image == image and image != tp.retroreflect(tp.load_scene("hand-held", SMALL), rotation=[0, 0.5, 1])
+    one, other = (FisherInformation(("gaze_x", "gaze_y"), (0.1, 0.2), torch.eye(2)) for _ in range(2))
+    assert one == one and one != other
+
+
+def test_the_version_is_that_of_the_package():
+    assert tp.__version__ == importlib.metadata.version("tapetum") and "__version__" in dir(tp)
 
 
 def test_an_image_is_an_array(image):

@@ -30,7 +30,7 @@ __all__ = ["IMAGE_SUFFIXES", "Image"]
 IMAGE_SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".zarr")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Image:
     """One or many retro-reflections on the same pixels.
 
