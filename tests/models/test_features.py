@@ -109,6 +109,7 @@ def test_read_only_images_draw_no_warning(images):
         (np.full((1, 30, 30), np.nan), {"full_scale": 1, "scales": (30,)}, "finite"),
         (np.zeros((1, 30, 30), bool), {}, "grey levels"),
         (np.zeros((1, 30, 30), np.uint8), {"full_scale": 0}, "full_scale"),
+        *((np.zeros((1, 30, 30), np.uint8), {"scales": (30,), "powers": one}, "powers") for one in ((0.5,), (0,), ())),
     ],
 )
 def test_bad_input_is_told(images, how, word: str):

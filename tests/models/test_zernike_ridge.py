@@ -117,6 +117,7 @@ def test_real_beams_come_out_in_the_order_of_their_focus():
         ({"alpha": "x"}, "alpha"),
         ({"scales": ()}, "scales"),
         ({"powers": (0,)}, "powers"),
+        ({"powers": (1.5,)}, "powers: must be a whole number from 1 to 100, is 1.5"),
     ],
 )
 def test_bad_parameters_are_told(how, word: str):

@@ -11,10 +11,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tapetum.errors import InputError
+from tapetum.errors import InputError, whole
 from tapetum.optics.zernike import mode_count, noll_to_nm, zernike_basis
 
-__all__ = ["ORDER", "POWERS", "SCALES", "as_images", "feature_names", "root_intensity", "zernike_features"]
+__all__ = [
+    "ORDER",
+    "POWERS",
+    "SCALES",
+    "as_images",
+    "checked_powers",
+    "feature_names",
+    "root_intensity",
+    "zernike_features",
+]
 
 SCALES = (100, 200, 300, 400)
 ORDER = 12
@@ -25,6 +34,7 @@ _WAYS = ((True, True), (True, False), (False, True), (False, False))
 
 # Frames at a time: 32 of 400 x 400 pixels are 20 MB, so that the fit's matrices (15 MB) are not read too often.
 _BATCH = 32
+_HIGHEST = 100
 
 
 def as_images(
@@ -129,6 +139,15 @@ def _checked_scales(scales: Sequence[int], side: int) -> tuple[int, ...]:
     return tuple(scales)
 
 
+def checked_powers(powers: Sequence[int]) -> tuple[int, ...]:
+    """Return the powers of coefficients as ints; raise an InputError unless there are some, all 1 or more."""
+    given = tuple(powers)
+    if not given:
+        raise InputError("are none", where="powers", remedy="the paper's are 1, 2 and 3")
+    # A root of a negative coefficient is no number.
+    return tuple(whole(one, "powers", "the paper's are 1, 2 and 3", least=1, most=_HIGHEST) for one in given)
+
+
 def feature_names(scales: Sequence[int] = SCALES, order: int = ORDER, powers: Sequence[int] = POWERS) -> list[str]:
     """Name the columns of `zernike_features` in order: scale by scale, power by power, mode by mode."""
     modes = [noll_to_nm(j) for j in range(1, mode_count(order) + 1)]
@@ -170,7 +189,7 @@ def zernike_features(
     """
     array, depth = as_images(images, full_scale)
     sides = _checked_scales(scales, array.shape[1])
-    modes = mode_count(order)
+    powers, modes = checked_powers(powers), mode_count(order)
     features = np.empty((len(array), len(sides), len(powers), modes))
     # Outside inference mode, because autograd refuses cached inference tensors.
     projections = {side: _projection(side, order, dtype) for side in sides}
