@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import inspect
 import pydoc
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from matplotlib.figure import Figure
 
 import tapetum as tp
@@ -16,6 +18,7 @@ from tapetum.data import build_dataset, dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import Prediction, ResNet18
 from tapetum.record.recording import RecordingWriter, StreamInfo
+from tapetum.simulate.information import FisherInformation
 
 SMALL = ["probe.sensor.pixels=[32, 24]", "sampling.accuracy=0.1"]
 
@@ -62,6 +65,18 @@ def test_what_is_shown_is_escaped_and_says_what_was_refused():
     page = prediction()._repr_html_()
     assert "&lt;a&gt;" in page and "<a>" not in page
     assert "unlike" in page and "1 refused" in page
+
+
+def test_what_holds_arrays_is_equal_to_itself_alone(image):
+    one, other = prediction(), prediction()
+    assert one == one and one != other
+    assert image == image and image != tp.retroreflect(tp.load_scene("hand-held", SMALL), rotation=[0, 0.5, 1])
+    one, other = (FisherInformation(("gaze_x", "gaze_y"), (0.1, 0.2), torch.eye(2)) for _ in range(2))
+    assert one == one and one != other
+
+
+def test_the_version_is_that_of_the_package():
+    assert tp.__version__ == importlib.metadata.version("tapetum") and "__version__" in dir(tp)
 
 
 def test_an_image_is_an_array(image):
@@ -111,6 +126,9 @@ def test_arguments_may_be_what_the_command_line_takes(tmp_path: Path, image):
         (lambda: tp.retroreflect("thin-lens", device="cuda:99"), "device: cannot compute on 'cuda:99'"),
         (lambda: ResNet18(device="tpu"), "device: no device is called 'tpu'"),
         (lambda: build_dataset(["a.rec"], "a.zarr", side=100000), "side: is larger than the 4000 pixels"),
+        (lambda: tp.label_recording("a.rec"), "a.rec: does not exist"),
+        (lambda: tp.label_recording(3), "recording: is of type int; give its folder NAME.rec"),  # type: ignore[arg-type]
+        (lambda: list(tp.track([np.zeros((9, 9), np.uint8)])), "source[0]: is of type ndarray; give Frames"),
         (lambda: tp.detect(np.broadcast_to(np.uint8(0), (20000, 20000))), "20000 x 20000 pixels are more than"),
     ],
 )

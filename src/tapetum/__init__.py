@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from tapetum.simulate import Camera, Image, expose, fisher, link_budget, retroreflect
     from tapetum.track import detect, track
 
+    __version__: str
+
 _HOME = {
     "bench": ("Scene", "load_scene"),
     "data": ("build_dataset", "open_dataset"),
@@ -59,6 +61,8 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("tapetum")
     if name not in _ROOM:
         raise AttributeError(f"module 'tapetum' has no attribute {name!r}")
     room = importlib.import_module(f"tapetum.{_ROOM[name]}")
@@ -67,4 +71,6 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *(name for name in globals() if name.startswith("__") and name.endswith("__"))})
+    return sorted(
+        {*__all__, "__version__", *(name for name in globals() if name.startswith("__") and name.endswith("__"))}
+    )

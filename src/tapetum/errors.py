@@ -3,10 +3,22 @@
 from __future__ import annotations
 
 import importlib
+import math
+import operator
 from types import ModuleType
 from typing import Any
 
-__all__ = ["InputError", "MissingExtraError", "StoppedError", "TapetumError", "need", "of_type", "one_of"]
+__all__ = [
+    "InputError",
+    "MissingExtraError",
+    "StoppedError",
+    "TapetumError",
+    "need",
+    "number",
+    "of_type",
+    "one_of",
+    "whole",
+]
 
 
 class TapetumError(Exception):
@@ -65,6 +77,36 @@ def of_type(value: object, kinds: type | tuple[type, ...], where: str, remedy: s
     if not isinstance(value, kinds):
         given = "None" if value is None else f"of type {type(value).__name__}"
         raise InputError(f"is {given}", where=where, remedy=remedy)
+
+
+def number(
+    value: Any, where: str, remedy: str, *, least: float = -math.inf, most: float = math.inf, above: float = -math.inf
+) -> float:
+    """Return a finite number from `least` to `most` and above `above`; an int stays one.
+
+    Raises an InputError for any other, for NaN, for what is no number, and for a bool.
+    """
+    try:
+        plain = value if type(value) in (int, float) else float(value)
+    except (TypeError, ValueError):
+        plain = math.nan
+    if isinstance(value, (bool, str)) or not (math.isfinite(plain) and least <= plain <= most and plain > above):
+        bounds = [f"above {above:g}"] if above > -math.inf else []
+        bounds += [f"{least:g} or more"] if least > -math.inf else []
+        bounds += [f"at most {most:g}"] if most < math.inf else []
+        raise InputError(f"must be {' and '.join(bounds) or 'finite'}, is {value!r}", where=where, remedy=remedy)
+    return plain
+
+
+def whole(value: Any, where: str, remedy: str, *, least: int, most: int) -> int:
+    """Return a whole number from `least` to `most` as an int; raise an InputError for any other, and for a bool."""
+    try:
+        plain = operator.index(value)
+    except TypeError:
+        plain = least - 1
+    if isinstance(value, bool) or not least <= plain <= most:
+        raise InputError(f"must be a whole number from {least} to {most}, is {value!r}", where=where, remedy=remedy)
+    return plain
 
 
 def one_of(value: Any, allowed: tuple[str, ...], where: str) -> str:

@@ -16,9 +16,12 @@ from tapetum.durable import clean_leftovers, exchange, part_name, sole_writer, s
 from tapetum.errors import InputError
 
 __all__ = [
+    "CONTENTS",
     "atomic_file",
     "atomic_folder",
+    "check_replaceable",
     "free_name",
+    "is_content",
     "read_text",
     "replace_folder",
     "reserved",
@@ -26,6 +29,14 @@ __all__ = [
     "told_when_full",
 ]
 
+CONTENTS = {
+    "tapetum-dataset": (("zarr.json", "tapetum-dataset"),),
+    "tapetum-recording": (("recording.json", "tapetum-recording"),),
+    "tapetum-model": (("model.json", "tapetum-model"),),
+    "tapetum-evaluation": (("numbers.json", "tapetum-evaluation"),),
+    "store of images": (("zarr.json", "pitch_m"), ("irradiance/zarr.json", "")),
+}
+"""By content of a folder: the files in it that identify the content, each with the word to find there."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
@@ -151,8 +162,30 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
             raise
 
 
+def is_content(path: Path, holds: str) -> bool:
+    """Return whether a path is a folder that holds a content, a key of `CONTENTS`."""
+    try:
+        return all(word in (path / name).read_text(encoding="utf-8") for name, word in CONTENTS[holds])
+    except (OSError, UnicodeDecodeError):
+        return False
+
+
+def check_replaceable(path: Path, holds: str | None = None, *, overwrite: bool) -> None:
+    """Raise an InputError when `path` exists and `overwrite` is false, or it is not what is to take its place.
+
+    `holds`, a key of `CONTENTS`, is what alone may be replaced; None for anything.
+    """
+    if not path.exists() and not path.is_symlink():
+        return
+    if not overwrite:
+        raise InputError("exists already", where=path, remedy="choose another name or remove it first")
+    if holds is not None and not is_content(path, holds):
+        what = f"is no {holds} that may be replaced"
+        raise InputError(what, where=path, remedy="choose another name or remove it yourself")
+
+
 @contextlib.contextmanager
-def atomic_folder(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
+def atomic_folder(path: str | os.PathLike[str], holds: str | None = None, *, overwrite: bool = False) -> Iterator[Path]:
     """Yield a temporary folder beside `path`; on success it takes the name `path`, on failure it is removed.
 
     All of it is on the disk before it takes the name. A folder that it replaces stands until then.
@@ -160,13 +193,12 @@ def atomic_folder(path: str | os.PathLike[str], *, overwrite: bool = False) -> I
     Raises
     ------
     InputError
-        When `path` exists and `overwrite` is false, or another command is writing it.
+        When `path` may not be replaced (`check_replaceable`), or another command is writing it.
     """
     target = Path(path)
     with told_when_full(target), _parents(target), sole_writer(target):
         clean_leftovers(target)
-        if target.exists() and not overwrite:
-            raise InputError("exists already", where=target, remedy="choose another name or remove it first")
+        check_replaceable(target, holds, overwrite=overwrite)
         part = part_name(target, end=".part")
         try:
             part.mkdir()

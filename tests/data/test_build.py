@@ -123,6 +123,11 @@ def test_whole_videos_may_train_or_test(film, tmp_path: Path):
         ([{"dark": tuple(range(16, 20))}], {}, "no frame is left to test"),
         ([{}], {"side": 0}, "side"),
         ([{}], {"test_fraction": 1.5}, "test_fraction"),
+        ([{}], {"test_fraction": float("nan")}, "test_fraction"),
+        ([{}], {"min_snr": float("nan")}, "min_snr: must be finite, is nan"),
+        ([{}], {"min_quality": float("nan")}, "min_quality: must be finite, is nan"),
+        ([{}], {"embargo": -1}, "embargo: must be 0 or more, is -1"),
+        ([{}], {"embargo": float("nan")}, "embargo: must be 0 or more, is nan"),
     ],
 )
 def test_bad_input_is_told_and_nothing_is_written(film, tmp_path: Path, films, how, word: str):
@@ -138,6 +143,21 @@ def test_a_recording_given_twice_is_told(film, tmp_path: Path):
         build_dataset([recording, recording], tmp_path / "set.zarr", side=8)
 
 
+def test_recordings_may_be_open_and_any_iterable(film, tmp_path: Path):
+    first, second = film("a.rec", seed=1), film("b.rec", seed=2)
+    paths = build_dataset([first, second], tmp_path / "paths.zarr", side=8)
+    mixed = build_dataset((one for one in (open_recording(first), str(second))), tmp_path / "mixed.zarr", side=8)
+    assert open_dataset(mixed).tp.hash == open_dataset(paths).tp.hash
+    alone = build_dataset(open_recording(first), tmp_path / "alone.zarr", side=8)
+    assert open_dataset(alone).attrs["recordings"].count('"uuid"') == 1
+    with pytest.raises(InputError, match="given twice"):
+        build_dataset([first, open_recording(first)], tmp_path / "twice.zarr", side=8)
+    with pytest.raises(InputError, match=r"recordings\[1\]: is of type int; give its folder"):
+        build_dataset([first, 3], tmp_path / "odd.zarr", side=8)  # type: ignore[list-item]
+    with pytest.raises(InputError, match="recordings: is None"):
+        build_dataset(None, tmp_path / "odd.zarr", side=8)  # type: ignore[arg-type]
+
+
 def test_nothing_is_overwritten_unasked(film, tmp_path: Path):
     recording = film()
     path = build_dataset([recording], tmp_path / "set.zarr", side=8)
@@ -145,6 +165,15 @@ def test_nothing_is_overwritten_unasked(film, tmp_path: Path):
         build_dataset([recording], path, side=8)
     build_dataset([recording], path, side=10, overwrite=True)
     assert open_dataset(path).tp.side == 10
+
+
+def test_a_folder_of_something_else_is_never_replaced(film, tmp_path: Path):
+    other = tmp_path / "set.zarr"
+    other.mkdir()
+    (other / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="no tapetum-dataset that may be replaced"):
+        build_dataset([film()], other, side=8, overwrite=True)
+    assert (other / "notes.txt").read_text() == "mine"
 
 
 def test_an_interrupted_build_leaves_nothing(film, tmp_path: Path):

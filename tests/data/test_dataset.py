@@ -135,6 +135,8 @@ def test_batches_are_cut_from_what_is_read_at_once() -> None:
         ({"split": ["train", "train"]}, "split: expected 2 values"),
         ({"recording": [1.2, 1.9]}, "recording: expected 2 values"),
         ({"targets": {"gaze_x": ["a", "b"]}}, "gaze_x: holds no numbers"),
+        ({"targets": {"device": [None, "b"]}}, "device: the name of image 0 is None"),
+        ({"targets": {"device": np.array(["a", np.nan], object)}}, "device: the name of image 1 is nan"),
         ({"targets": {"image": [1, 2]}}, "image: is the name of a variable"),
         ({"images": np.zeros((2, 8, 8), complex)}, "images: images of type complex128"),
     ],

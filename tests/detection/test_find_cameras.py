@@ -27,6 +27,7 @@ from tapetum.blas import one_blas_thread
 from tapetum.detection import find_each
 from tapetum.detection.features import beside_rivals
 from tapetum.detection.find import clutter_of_frame, judged, second_look, told_of
+from tapetum.detection.found import Found
 from tapetum.detection.measured import Candidates, candidates_with_looks
 from tapetum.detection.registration import register
 from tapetum.detection.score import load_score
@@ -105,6 +106,17 @@ def test_several_cameras_and_nothing_else() -> None:
     found = tp.find_cameras(exposed(lit, 1), exposed(empty, 2, (5, 3)), false_alarms=0.1)
     assert len(found) == len(places)
     assert {min(places, key=lambda at: math.dist(at, one)) for one in zip(found.x, found.y, strict=True)} == set(places)
+
+
+def test_what_was_found_is_picked_and_walked_through_one_by_one() -> None:
+    columns = {name: np.arange(3.0) for name in Found.columns()}
+    found = Found(**{**columns, "saturated": np.array([True, False, True])}, swapped=True)
+    assert [(len(one), one.x.tolist(), one.swapped) for one in found] == [(1, [n], True) for n in (0.0, 1.0, 2.0)]
+    assert found[-1].to_table().to_pylist() == found.to_table().to_pylist()[2:]
+    assert len(found[np.int64(1)]) == 1 and found[1].saturated.dtype == bool
+    assert found[found.x > 0].x.tolist() == found[1:].x.tolist() == [1, 2]
+    with pytest.raises(IndexError):
+        found[3]
 
 
 def test_an_empty_room_rarely_alarms() -> None:

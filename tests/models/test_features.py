@@ -8,6 +8,7 @@ import torch
 
 from tapetum.errors import InputError
 from tapetum.models import feature_names, zernike_features
+from tapetum.models.inputs import prepare
 from tapetum.optics.zernike import disc_coordinates, nm_to_noll, zernike_basis
 
 
@@ -78,6 +79,24 @@ def test_the_images_are_left_as_they_are():
     assert (images == 0.25).all()
 
 
+def test_no_images_have_as_many_features():
+    assert zernike_features(np.zeros((0, 60, 60), np.uint8), (40, 60), 3).shape == (0, 60)
+
+
+@pytest.mark.parametrize("kind", [">u2", ">f4", ">f8"])
+def test_another_byte_order_does_not_matter(images, kind: str):
+    ours = zernike_features(images, (60,), 4)
+    np.testing.assert_allclose(zernike_features(images.astype(kind), (60,), 4, full_scale=255), ours, rtol=1e-5)
+
+
+@pytest.mark.filterwarnings("error")
+def test_read_only_images_draw_no_warning(images):
+    kept = images.copy()
+    kept.setflags(write=False)
+    np.testing.assert_array_equal(zernike_features(kept, (60,), 4), zernike_features(images, (60,), 4))
+    assert np.array_equal(prepare(kept, 60, 30, 255), prepare(images, 60, 30, 255))
+
+
 @pytest.mark.parametrize(
     ("images", "how", "word"),
     [
@@ -90,6 +109,7 @@ def test_the_images_are_left_as_they_are():
         (np.full((1, 30, 30), np.nan), {"full_scale": 1, "scales": (30,)}, "finite"),
         (np.zeros((1, 30, 30), bool), {}, "grey levels"),
         (np.zeros((1, 30, 30), np.uint8), {"full_scale": 0}, "full_scale"),
+        *((np.zeros((1, 30, 30), np.uint8), {"scales": (30,), "powers": one}, "powers") for one in ((0.5,), (0,), ())),
     ],
 )
 def test_bad_input_is_told(images, how, word: str):

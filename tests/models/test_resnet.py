@@ -15,6 +15,7 @@ from tapetum.errors import InputError
 from tapetum.models import ResNet18, ResNet18Network, crop_snr, kernel, load_model, network, save_model
 from tapetum.models.base import training_part
 from tapetum.models.inputs import prepare
+from tapetum.models.network import NetworkEstimator
 from tapetum.models.training import CHECKPOINT, HISTORY, Augmentation, augment
 from tapetum.progress import quiet
 
@@ -153,6 +154,29 @@ def test_it_learns(small):
     widths = np.tile(2 * model.intervals_.half_width[0], (60, 1))
     np.testing.assert_allclose(prediction.upper - prediction.lower, widths)
     assert model.history_[-1].loss < model.history_[0].loss
+
+
+@pytest.mark.usefixtures("narrow")
+@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
+def test_it_trains_alike_in_any_mode_of_the_caller(few, whole, mode):
+    with mode():
+        model = ResNet18(**TINY).fit(few)
+    assert model.history_[-1].loss == whole[0].history_[-1].loss
+
+
+@pytest.mark.parametrize("architecture", ["resnet18", "convnext-pico"])
+def test_the_callers_default_precision_changes_nothing(few, tmp_path: Path, architecture: str):
+    made = {"architecture": architecture, **TINY, "size": 32, "epochs": 1}
+    plain = NetworkEstimator(**made).fit(few)
+    torch.set_default_dtype(torch.float64)
+    try:
+        model = NetworkEstimator(**made).fit(few)
+        loaded = load_model(save_model(model, tmp_path / "model"))
+        found = loaded.predict(few).value
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert {one.dtype for one in loaded.network_.parameters()} == {torch.float32}
+    np.testing.assert_array_equal(found, plain.predict(few).value)
 
 
 @pytest.mark.usefixtures("narrow")

@@ -76,6 +76,13 @@ def test_nothing_is_overwritten_unasked(ridge, saved: Path):
     save_model(ridge, saved, overwrite=True)
 
 
+def test_a_folder_of_something_else_is_never_replaced(ridge, tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="no tapetum-model that may be replaced"):
+        save_model(ridge, tmp_path, overwrite=True)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
 @pytest.mark.parametrize("name", [CARD, WEIGHTS])
 def test_a_missing_file_is_told(saved: Path, name: str):
     (saved / name).unlink()

@@ -55,6 +55,11 @@ def test_arrays_and_datasets_give_the_same(small):
         model.predict(images.astype(np.uint16))
 
 
+def test_no_crops_have_no_estimates(small):
+    model = ZernikeRidge(scales=(20, 40), order=3).fit(small.tp.train)
+    assert model.predict(np.zeros((0, 40, 40), np.uint8)).value.shape == (0, 2)
+
+
 def test_cross_validation_asks_for_more_penalty_when_there_is_more_noise():
     images = np.random.default_rng(0).integers(0, 255, (120, 20, 20), dtype=np.uint8)
     features = zernike_features(images, (20,), 2)
@@ -112,6 +117,7 @@ def test_real_beams_come_out_in_the_order_of_their_focus():
         ({"alpha": "x"}, "alpha"),
         ({"scales": ()}, "scales"),
         ({"powers": (0,)}, "powers"),
+        ({"powers": (1.5,)}, "powers: must be a whole number from 1 to 100, is 1.5"),
     ],
 )
 def test_bad_parameters_are_told(how, word: str):

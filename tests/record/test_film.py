@@ -160,6 +160,39 @@ def test_a_camera_of_the_bench_is_a_source_like_any_other(small: Scene, tmp_path
         assert ours.time == pytest.approx(kept.time, abs=2e-9)
 
 
+@pytest.mark.parametrize("seed", [True, None, 1.0, "1", -1, 2**63])
+def test_a_seed_that_a_recording_cannot_keep_is_refused(seed) -> None:
+    with pytest.raises(InputError, match=r"seed: must be a whole number from 0 to \d+, is"):
+        Session(seed=seed)
+    with pytest.raises(InputError, match="seed"):
+        Placed((0.0, 0.0), seed=seed)
+
+
+def test_a_seed_of_any_whole_type_films(small: Scene, tmp_path: Path) -> None:
+    film(small, tmp_path / "a.rec", Session(0.2, seed=np.int64(3)))  # type: ignore[arg-type]
+    assert open_recording(tmp_path / "a.rec").meta["seed"] == 3
+
+
+@pytest.mark.parametrize("name", ["seconds", "rate"])
+@pytest.mark.parametrize("value", [0, -1.0, np.nan, np.inf, 1e7, None, True, "15"])
+def test_lengths_and_rates_out_of_range_are_refused(name: str, value) -> None:
+    with pytest.raises(InputError, match=f"^{name}: must be above 0 and at most"):
+        Session(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("loss", value) for value in (-0.1, 1.0, np.nan)),
+        *((name, value) for name in ("jitter", "readout") for value in (-1e-3, np.nan, np.inf)),
+        *((name, value) for name in ("drift", "rate_error", "offset") for value in (np.nan, -np.inf, 1e7)),
+    ],
+)
+def test_a_clock_out_of_range_is_refused(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"^clock {name}: must be "):
+        CameraClock(**{name: value})
+
+
 def test_a_session_without_frames_and_a_name_taken_are_refused(small: Scene, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="seconds"):
         film(small, tmp_path / "a.rec", Session(0.01))

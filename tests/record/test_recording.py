@@ -22,6 +22,7 @@ import pytest
 from tapetum.errors import InputError
 from tapetum.record.frames import open_frames
 from tapetum.record.recording import Recording, RecordingWriter, StreamInfo, open_recording
+from tapetum.record.source import Frame
 
 START = 1_800_000_000_000_000_000
 STREAMS = {"probe": StreamInfo(48, 64), "target": StreamInfo(40, 50, bits=12, rate=30)}
@@ -273,6 +274,27 @@ def test_frames_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     assert list(open_frames(tmp_path / "a.rec", "target")) == []
     with pytest.raises(InputError, match="no stream 'side'; the recording has probe, target"):
         open_frames(tmp_path / "a.rec", "side")
+
+
+def test_the_laser_s_state_is_a_bool_of_any_type(tmp_path: Path) -> None:
+    states = [None, True, np.bool_(False), np.True_, 0, np.int64(1)]
+    with writer(tmp_path / "a.rec") as recorder:
+        for number, lit in enumerate(states):
+            given: dict = {"monotonic_ns": number, "utc_ns": START + number, "lit": lit}
+            recorder.write("probe", image(number), **given)
+        for wrong in (2, 0.5, "on"):
+            given = {"monotonic_ns": 99, "utc_ns": START + 99, "lit": wrong}
+            with pytest.raises(InputError, match=f"lit cannot be {wrong!r}"):
+                recorder.write("probe", image(0), **given)
+    kept = open_recording(tmp_path / "a.rec").frames("probe")["lit"].to_pylist()
+    assert kept == [None, True, False, True, False, True]
+
+
+def test_a_frame_without_clocks_is_told(tmp_path: Path) -> None:
+    with writer(tmp_path / "a.rec") as recorder:
+        with pytest.raises(InputError, match="frame 3: utc_ns is None and monotonic_ns is 7"):
+            recorder.add("probe", Frame(3, 0.0, image(3), monotonic_ns=7))
+        fill(recorder, 1)
 
 
 def test_bad_arguments(tmp_path: Path) -> None:

@@ -82,6 +82,12 @@ def test_gaze_needs_two_columns() -> None:
         score_gaze(np.zeros((3, 3)), np.zeros((3, 3)))
 
 
+@pytest.mark.parametrize("threshold", [np.nan, np.inf, -0.1])
+def test_a_threshold_that_is_no_distance_is_refused(threshold: float) -> None:
+    with pytest.raises(InputError, match="sign_threshold: must be 0 or more, is"):
+        score_gaze(np.zeros((3, 2)), np.zeros((3, 2)), sign_threshold=threshold)
+
+
 def test_predicting_zero_tells_no_sign() -> None:
     assert sign_right([0.2, -0.2, 0.01], [0.0, -0.1, 5.0]) == (1, 2)
 

@@ -45,12 +45,24 @@ def test_png_is_stretched_to_its_peak(image: Image, tmp_path: Path) -> None:
     assert picture[0, 0] == 0
 
 
-def test_zarr_carries_units_and_replaces_what_was_there(image: Image, tmp_path: Path) -> None:
+def test_zarr_carries_units_and_replaces_a_store_when_asked(image: Image, tmp_path: Path) -> None:
     image.save(tmp_path / "a.zarr")
-    group = zarr.open_group(image.save(tmp_path / "a.zarr"), mode="r")
+    with pytest.raises(InputError, match="exists already"):
+        image.save(tmp_path / "a.zarr")
+    group = zarr.open_group(image.save(tmp_path / "a.zarr", overwrite=True), mode="r")
     assert group.attrs["units"] == "W/m^2"
     assert group.attrs["pitch_m"] == 2e-6
     assert np.array_equal(np.asarray(group["irradiance"]), image.numpy())
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_folder_of_something_else_is_never_replaced(image: Image, tmp_path: Path, overwrite: bool) -> None:
+    other = tmp_path / "a.zarr"
+    zarr.create_group(other, attributes={"pitch_m": 1e-6})
+    (other / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match=r"exists already|no store of images that may be replaced"):
+        image.save(other, overwrite=overwrite)
+    assert (other / "notes.txt").read_text() == "mine"
 
 
 def test_an_unknown_type_is_refused_and_nothing_is_written(image: Image, tmp_path: Path) -> None:

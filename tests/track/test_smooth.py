@@ -233,6 +233,20 @@ def test_tables_are_smoothed_track_by_track(tmp_path, suffix):
     assert one["gaze_y"].equals(table["gaze_y"]) and not one["gaze_x"].equals(table["gaze_x"])
 
 
+@pytest.mark.parametrize("suffix", [".parquet", ".csv", ".jsonl"])
+def test_a_data_frame_is_a_table_too(tmp_path, suffix):
+    table, _ = a_table()
+    frame = table.to_pandas()
+    assert smooth_tracks(frame[frame.frame >= 0]).equals(smooth_tracks(table))
+    write_tracks(frame, tmp_path / f"t{suffix}")
+    write_tracks(table, tmp_path / f"u{suffix}")
+    assert read_tracks(tmp_path / f"t{suffix}").equals(read_tracks(tmp_path / f"u{suffix}"))
+    with pytest.raises(InputError, match="table: is of type list; give an Arrow table"):
+        write_tracks([{"track": 1}], tmp_path / "v.csv")
+    with pytest.raises(InputError, match="table: is None"):
+        smooth_tracks(None)
+
+
 def test_what_cannot_be_smoothed_is_told():
     table, _ = a_table()
     with pytest.raises(InputError, match="no column speed with speed_low"):

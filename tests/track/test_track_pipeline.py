@@ -203,6 +203,9 @@ def test_bad_input_is_told_before_anything_is_done(frames, tmp_path):
         track(frames, model=[Brightness(), Brightness()])
     with pytest.raises(InputError, match="batch"):
         track(frames, batch=0)
+    for side in (1.5, 0, True):
+        with pytest.raises(InputError, match=f"side: must be a whole number from 1 to 1000000, is {side}"):
+            track(frames, side=side)
     with pytest.raises(InputError, match="nowhere"):
         track(tmp_path / "nowhere")
     for seconds in (math.nan, -1.0, 0.0):

@@ -9,18 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tapetum.errors import InputError, StoppedError
-from tapetum.files import reserved, told_when_full
+from tapetum.files import CONTENTS, is_content, reserved, told_when_full
 
 __all__ = ["check_output", "filling", "says_what_is_kept"]
 
-# By content of a folder: the file in it that identifies the content, and the word to find there.
-_MARKERS = {
-    "tapetum-dataset": ("zarr.json", "tapetum-dataset"),
-    "tapetum-recording": ("recording.json", "tapetum-recording"),
-    "tapetum-model": ("model.json", "tapetum-model"),
-    "tapetum-evaluation": ("numbers.json", "tapetum-evaluation"),
-    "store of images": ("zarr.json", "pitch_m"),
-}
 _UNFINISHED = ".tapetum-unfinished"
 
 
@@ -30,8 +22,8 @@ def check_output(
     """Refuse to replace an existing output, and a source always, before any work; no check for None.
 
     A name where nothing may be written is refused too. With `--overwrite` a file may be replaced by a file, and a
-    folder by one that `holds` the same, a key of `_MARKERS`. The writers keep the existing output until the new one is
-    complete.
+    folder by one that `holds` the same, a key of `tapetum.files.CONTENTS`. The writers keep the existing
+    output until the new one is complete.
     """
     if out is None:
         return
@@ -51,19 +43,12 @@ def check_output(
         if source.resolve().is_relative_to(out.resolve()):
             raise InputError("holds what is read", where=out, remedy="name another folder to write")
         if out.resolve().is_relative_to(source.resolve()) and any(
-            (source / marker).is_file() for marker, _ in _MARKERS.values()
+            (source / marker).is_file() for ((marker, _), *_) in CONTENTS.values()
         ):
             raise InputError(f"is a part of {source}, which is read", where=out, remedy="name another file to write")
     if not force:
         raise InputError("exists already", where=out, remedy="choose another name or pass --overwrite")
-    known = not out.is_dir()
-    if holds is not None:
-        try:
-            marker, word = _MARKERS[holds]
-            known = word in (out / marker).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError):
-            known = False
-    if not known:
+    if not (not out.is_dir() if holds is None else is_content(out, holds)):
         what = "is a folder" if holds is None else f"is no {holds} that may be replaced"
         raise InputError(what, where=out, remedy="choose another name or remove it yourself")
 

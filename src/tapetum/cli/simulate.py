@@ -83,7 +83,7 @@ def simulate(
     if out.suffix.lower() == ".png" and axes:
         _draw(image, axes, out)
     else:
-        image.save(out)
+        image.save(out, overwrite=force)
     if as_json:
         typer.echo(json.dumps(_record(image, axes, out), allow_nan=False))
     else:

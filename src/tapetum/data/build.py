@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from tapetum.data.crop import SIGMA
 from tapetum.data.dataset import DEVICE, QUANTITIES, STD
 from tapetum.data.write import CHUNK, LARGEST_SIDE, Rules, dataset_writer
-from tapetum.errors import InputError
+from tapetum.errors import InputError, number, of_type
 from tapetum.progress import Progress, quiet
 from tapetum.record.clocks import join
-from tapetum.record.recording import Recording, open_recording
+from tapetum.record.recording import Recording, as_recording
 
 __all__ = ["build_dataset"]
+
+Given: TypeAlias = str | os.PathLike[str] | Recording
 
 
 @dataclass(frozen=True)
@@ -86,11 +88,12 @@ def _reach(recording: Recording, table: pa.Table) -> NDArray[np.float64]:
     return np.nan_to_num(reach)
 
 
-def _checked(recordings: Sequence[str | os.PathLike[str]], rules: Rules) -> list[Recording]:
-    if isinstance(recordings, str | os.PathLike):
-        recordings = [recordings]
-    if not recordings:
-        raise InputError("no recording given", where="recordings", remedy="name at least one NAME.rec folder")
+def _checked(recordings: Iterable[Given] | Given, rules: Rules) -> list[Recording]:
+    remedy = "name at least one NAME.rec folder"
+    of_type(recordings, (str, os.PathLike, Recording, Iterable), "recordings", remedy)
+    given = [recordings] if isinstance(recordings, str | os.PathLike | Recording) else list(recordings)
+    if not given:
+        raise InputError("no recording given", where="recordings", remedy=remedy)
     if rules.side < 1:
         raise InputError(f"must be positive, is {rules.side}", where="side", remedy="give a number of pixels")
     if rules.side > LARGEST_SIDE:
@@ -99,15 +102,19 @@ def _checked(recordings: Sequence[str | os.PathLike[str]], rules: Rules) -> list
     if not 0 <= rules.test_fraction <= 1:
         what = f"must lie in 0 ... 1, is {rules.test_fraction}"
         raise InputError(what, where="test_fraction", remedy="the paper's is 0.2")
-    paths = [Path(r).resolve() for r in recordings]
+    for name in ("min_quality", "min_snr"):
+        number(getattr(rules, name), name, "0 keeps every frame")
+    number(rules.embargo, "embargo", "give seconds", least=0)
+    opened = [as_recording(one, f"recordings[{n}]") for n, one in enumerate(given)]
+    paths = [one.path.resolve() for one in opened]
     twice = next((p for p in paths if paths.count(p) > 1), None)
     if twice is not None:
         raise InputError("is given twice", where=twice, remedy="name every recording once")
-    return [open_recording(path) for path in recordings]
+    return opened
 
 
 def build_dataset(
-    recordings: Sequence[str | os.PathLike[str]],
+    recordings: Iterable[Given] | Given,
     out: str | os.PathLike[str],
     *,
     side: int = 400,
@@ -128,7 +135,7 @@ def build_dataset(
     Parameters
     ----------
     recordings
-        Folders NAME.rec, each with labels.
+        Folders NAME.rec or recordings that are open, each with labels; or a single one.
     out
         The store to write, by convention NAME.zarr.
     side
@@ -144,7 +151,7 @@ def build_dataset(
     progress
         Shown over the frames of each recording.
     overwrite
-        Replace an existing store.
+        Replace an existing dataset. No other folder ever is.
 
     Returns
     -------
@@ -154,8 +161,8 @@ def build_dataset(
     Raises
     ------
     InputError
-        When no recording is given, one has no labels, depths or labelled quantities differ, or nothing is left to train
-        or to test with. Nothing is written then.
+        When no recording is given, one has no labels, depths or labelled quantities differ, nothing is left to train
+        or to test with, or `out` may not be replaced. Nothing is written then.
     """
     rules = Rules(side, test_fraction, min_quality, min_snr, sigma, embargo=embargo)
     opened = _checked(recordings, rules)

@@ -215,6 +215,10 @@ def dataset_from_arrays(
             names = np.asarray(values).ravel()
             if len(names) != count or names.dtype.kind not in "UO":
                 raise InputError(f"expected {count} names, got shape {names.shape}", where=name)
+            nameless = next((n for n, one in enumerate(names) if not isinstance(one, str)), None)
+            if nameless is not None:
+                what = f"the name of image {nameless} is {names[nameless]!r}"
+                raise InputError(what, where=name, remedy="give a text for every image, or leave the image out")
             columns[name] = class_variable([str(one) for one in names])
             continue
         if np.asarray(values).dtype.kind not in "buif":

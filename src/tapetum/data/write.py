@@ -231,10 +231,10 @@ def dataset_writer(
     """Open the store `out` for writing; it appears, and replaces an old one with `overwrite`, only once it is complete.
 
     Labels are `names`, devices `classes`. Counts saturate at `full_scale`; without `dtype` crops are uint8 or uint16
-    accordingly. Raises an InputError when a store exists, or as `DatasetWriter.finish`.
+    accordingly. Raises an InputError when `out` may not be replaced, or as `DatasetWriter.finish`.
     """
     kind = np.dtype(np.uint8 if full_scale <= 255 else np.uint16) if dtype is None else dtype
-    with atomic_folder(out, overwrite=overwrite) as folder, ThreadPoolExecutor(1, "chunk") as pool:
+    with atomic_folder(out, FORMAT, overwrite=overwrite) as folder, ThreadPoolExecutor(1, "chunk") as pool:
         group = zarr.create_group(str(folder), zarr_format=3)
         writer = DatasetWriter(group, rules, names, classes, full_scale, kind, pool)
         yield writer

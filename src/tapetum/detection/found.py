@@ -56,9 +56,10 @@ class Found:
     def __len__(self) -> int:
         return len(self.x)
 
-    def __getitem__(self, chosen: slice | NDArray[np.generic]) -> Found:
-        """The candidates that a slice, mask or array of numbers picks."""
-        return Found(**{name: getattr(self, name)[chosen] for name in self.columns()}, swapped=self.swapped)
+    def __getitem__(self, chosen: int | slice | NDArray[np.generic]) -> Found:
+        """The candidates that a number, slice, mask or array of numbers picks; iteration yields them one by one."""
+        picked = {name: np.atleast_1d(getattr(self, name)[chosen]) for name in self.columns()}
+        return Found(**picked, swapped=self.swapped)
 
     @classmethod
     def columns(cls) -> tuple[str, ...]:

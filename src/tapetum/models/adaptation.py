@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import xarray as xr
 
 from tapetum.data.dataset import DEVICE
@@ -26,6 +27,9 @@ _FEWEST = 12
 _SPARSE = 0.25
 
 
+# A training needs gradients, whatever the caller's mode.
+@torch.inference_mode(mode=False)
+@torch.enable_grad()
 def adapt(
     base: NetworkEstimator,
     dataset: xr.Dataset,

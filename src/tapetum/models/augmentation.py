@@ -57,7 +57,9 @@ def augment(images: Tensor, settings: Augmentation, generator: torch.Generator) 
     n, _, height, width = images.shape
 
     def uniform(*shape: int) -> Tensor:
-        return (2 * torch.rand(*shape, generator=generator, device=generator.device) - 1).to(images)
+        return (2 * torch.rand(*shape, generator=generator, dtype=torch.float32, device=generator.device) - 1).to(
+            images
+        )
 
     if settings.shift > 0:
         across, down = (settings.shift * uniform(n, 2)).unbind(1)
@@ -69,6 +71,6 @@ def augment(images: Tensor, settings: Augmentation, generator: torch.Generator) 
     if settings.gain > 0:
         images = images * torch.exp(settings.gain * uniform(n, 1, 1, 1))
     if settings.noise > 0:
-        noise = torch.randn(images.shape, generator=generator, device=generator.device)
+        noise = torch.randn(images.shape, generator=generator, dtype=torch.float32, device=generator.device)
         images = torch.add(images, noise.to(images), alpha=settings.noise)
     return images

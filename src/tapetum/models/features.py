@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from tapetum.errors import InputError
+from tapetum.errors import InputError, whole
 from tapetum.optics.zernike import mode_count, noll_to_nm, zernike_basis
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "SCALES",
     "as_images",
     "check_levels",
+    "checked_powers",
     "feature_names",
     "root_intensity",
     "zernike_features",
@@ -34,15 +35,16 @@ _WAYS = ((True, True), (True, False), (False, True), (False, False))
 
 # Frames at a time: 32 of 400 x 400 pixels are 20 MB, so that the fit's matrices (15 MB) are not read too often.
 _BATCH = 32
+_HIGHEST = 100
 
 
 def as_images(
     images: NDArray[np.generic], full_scale: float | None, *, where: str = "images"
 ) -> tuple[NDArray[np.generic], float]:
-    """Return crops as [N, side, side] and the count of a saturated pixel, 255 by default for uint8.
+    """Return crops as [N, side, side] in the machine's byte order, and the count of a saturated pixel.
 
-    `images` are [N, side, side] or [side, side], integers or floats; `where` names them in messages. Raises an
-    InputError when shape or type do not fit, or `full_scale` is missing or not positive.
+    That is 255 by default for uint8. `images` are [N, side, side] or [side, side], integers or floats; `where` names
+    them in messages. Raises an InputError when shape or type do not fit, or `full_scale` is missing or not positive.
     """
     array = np.asarray(images)
     if array.ndim == 2:
@@ -60,7 +62,8 @@ def as_images(
     if not 0 < full_scale < math.inf:
         remedy = "give the largest count of a pixel"
         raise InputError(f"must be positive and finite, is {full_scale}", where="full_scale", remedy=remedy)
-    return array, float(full_scale)
+    # torch reads no other byte order, which FITS files have.
+    return array.astype(array.dtype.newbyteorder("="), copy=False), float(full_scale)
 
 
 def check_levels(images: NDArray[np.generic]) -> None:
@@ -75,7 +78,8 @@ def root_intensity(images: NDArray[np.generic], full_scale: float, dtype: torch.
     if images.dtype == np.uint16 or images.dtype.kind == "f":
         # torch has few operations on uint16; float32 holds its values exactly.
         images = images.astype(np.float64 if dtype == torch.float64 else np.float32)
-    root = torch.from_numpy(np.ascontiguousarray(images)).to(dtype, copy=True)
+    # Writable, as torch warns of others.
+    root = torch.from_numpy(np.require(images, requirements=["C", "W"])).to(dtype, copy=True)
     return root.mul_(255.0 / full_scale).sqrt_()
 
 
@@ -141,6 +145,15 @@ def _checked_scales(scales: Sequence[int], side: int) -> tuple[int, ...]:
     return tuple(scales)
 
 
+def checked_powers(powers: Sequence[int]) -> tuple[int, ...]:
+    """Return the powers of coefficients as ints; raise an InputError unless there are some, all 1 or more."""
+    given = tuple(powers)
+    if not given:
+        raise InputError("are none", where="powers", remedy="the paper's are 1, 2 and 3")
+    # A root of a negative coefficient is no number.
+    return tuple(whole(one, "powers", "the paper's are 1, 2 and 3", least=1, most=_HIGHEST) for one in given)
+
+
 def feature_names(scales: Sequence[int] = SCALES, order: int = ORDER, powers: Sequence[int] = POWERS) -> list[str]:
     """Name the columns of `zernike_features` in order: scale by scale, power by power, mode by mode."""
     modes = [noll_to_nm(j) for j in range(1, mode_count(order) + 1)]
@@ -182,7 +195,7 @@ def zernike_features(
     """
     array, depth = as_images(images, full_scale)
     sides = _checked_scales(scales, array.shape[1])
-    modes = mode_count(order)
+    powers, modes = checked_powers(powers), mode_count(order)
     features = np.empty((len(array), len(sides), len(powers), modes))
     # Outside inference mode, because autograd refuses cached inference tensors.
     projections = {side: _projection(side, order, dtype) for side in sides}
@@ -199,4 +212,4 @@ def zernike_features(
                     fitted[:, alike.numpy()] = (quadrant @ projection).numpy()
                 for p, power in enumerate(powers):
                     features[start : start + _BATCH, k, p] = fitted**power
-    return features.reshape(len(array), -1)
+    return features.reshape(len(array), len(sides) * len(powers) * modes)

@@ -24,7 +24,8 @@ def central(images: NDArray[np.generic], crop: int) -> NDArray[np.generic]:
         what = f"the model looks at {crop} pixels, the crops have {side}"
         raise InputError(what, where="images", remedy=f"cut crops of at least {crop} pixels")
     edge = (side - crop) // 2
-    cut = np.ascontiguousarray(images[:, edge : edge + crop, edge : edge + crop])
+    # Writable, as torch warns of others.
+    cut = np.require(images[:, edge : edge + crop, edge : edge + crop], requirements=["C", "W"])
     if cut.dtype.kind != "u" and not (np.isfinite(cut).all() and cut.min(initial=0) >= 0):
         raise InputError("intensities must be finite and not negative", where="images", remedy="clip them at 0")
     return cut

@@ -165,6 +165,9 @@ class NetworkEstimator(Estimator):
         self.device, self.processes = device, processes
         training_device(device)
 
+    # A training needs gradients, whatever the caller's mode.
+    @torch.inference_mode(mode=False)
+    @torch.enable_grad()
     def fit(
         self,
         dataset: xr.Dataset,

@@ -27,7 +27,7 @@ NONE_OF_THESE = "none of these"
 _SHOWN = 10
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Prediction:
     """Estimates of K quantities, and of one class among C for models with classes, for N images.
 

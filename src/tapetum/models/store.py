@@ -95,7 +95,7 @@ def save_model(
     half
         Store matrices and convolutions in float16, half the size. Predictions still run in float32.
     overwrite
-        Replace an existing folder.
+        Replace a folder that holds a model.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def save_model(
     Raises
     ------
     InputError
-        When the model is not fitted, metrics or notes are not JSON, or the folder exists.
+        When the model is not fitted, metrics or notes are not JSON, or the folder exists and may not be replaced.
     """
     if model.kind not in KINDS:
         what = f"a model of kind {model.kind!r} learns nothing that a folder could keep"
@@ -128,7 +128,7 @@ def save_model(
         "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
     }
     card = json_safe(card, "metrics or notes")
-    with atomic_folder(path, overwrite=overwrite) as folder:
+    with atomic_folder(path, FORMAT, overwrite=overwrite) as folder:
         save_file(state, folder / WEIGHTS)
         # Safetensors restricts its file to the owner; everyone who can read the folder may read the model.
         (folder / WEIGHTS).chmod(0o644)

@@ -16,7 +16,7 @@ from tapetum.data.dataset import DEVICE
 from tapetum.errors import InputError
 from tapetum.models.base import Data, Estimator, plain_target, target_names, training_part
 from tapetum.models.domain import Domain, fit_domain, magnitudes
-from tapetum.models.features import ORDER, POWERS, SCALES, zernike_features
+from tapetum.models.features import ORDER, POWERS, SCALES, checked_powers, zernike_features
 from tapetum.models.intervals import OTHER, Intervals, fit_intervals, has_intervals
 from tapetum.models.prediction import Prediction
 from tapetum.models.snr import crop_snr
@@ -103,11 +103,11 @@ class ZernikeRidge(Estimator):
             raise InputError("a linear model of quantities does not recognise devices", where="label", remedy=remedy)
         self.scales = tuple(int(s) for s in scales)
         self.order = int(order)
-        self.powers = tuple(int(p) for p in powers)
+        self.powers = checked_powers(powers)
         if alpha != "cv" and not (isinstance(alpha, int | float) and alpha > 0):
             raise InputError(f'must be positive or "cv", is {alpha!r}', where="alpha", remedy="the paper's is 1e-6")
-        if not self.scales or not self.powers or min(self.powers) < 1:
-            raise InputError("scales and powers must be positive and not empty", where="scales, powers")
+        if not self.scales:
+            raise InputError("are none", where="scales", remedy="give sides in pixels")
         self.alpha: float | Literal["cv"] = alpha
         self.standardise = bool(standardise)
         self.calibration_fraction = float(calibration_fraction)
@@ -186,7 +186,7 @@ class ZernikeRidge(Estimator):
         all_of = features.reshape(len(features), len(self.scales), len(self.powers), modes)
         low = np.abs(all_of[:, :, self.powers.index(power), : mode_count(order)]) ** (1 / power)
         found = magnitudes(low.reshape(-1, mode_count(order)), order)
-        return found.reshape(len(features), -1)
+        return found.reshape(len(features), len(self.scales) * found.shape[1])
 
     @property
     def _look_width(self) -> int:

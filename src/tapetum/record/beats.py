@@ -8,7 +8,12 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from tapetum.errors import InputError, number
+
 __all__ = ["Beat", "CameraClock"]
+
+# Generous limits: of times in seconds, and of relative errors of a clock or rate.
+_LONGEST, _LARGEST = 1e6, 0.5
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,18 @@ class CameraClock:
     loss: float = 0.004
     rate_error: float = 0.0
     readout: float = 0.0
+
+    def __post_init__(self) -> None:
+        bounds = {"offset": (-_LONGEST, _LONGEST), "jitter": (0, _LONGEST), "readout": (0, _LONGEST), "loss": (0, 1)}
+        bounds |= dict.fromkeys(("drift", "rate_error"), (-_LARGEST, _LARGEST))
+        for name, (least, most) in bounds.items():
+            if name == "offset" and self.offset is None:
+                continue
+            remedy = "give seconds" if most == _LONGEST else "give a part of one"
+            value = number(getattr(self, name), f"clock {name}", remedy, least=least, most=most)
+            object.__setattr__(self, name, value)
+        if self.loss == 1:
+            raise InputError("must be below 1, is 1", where="clock loss", remedy="a camera keeps some of its frames")
 
     def drawn(self, rate: float, rng: np.random.Generator) -> Self:
         """Return the clock of one recording at a nominal rate in Hz, with everything random drawn."""

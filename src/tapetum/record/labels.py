@@ -6,6 +6,7 @@ to one side in common: what stands under the spot and is not known (`surrounding
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
 from tapetum.record.blobs import Candidates, find_candidates, saturation
 from tapetum.record.clocks import Joined, join
-from tapetum.record.recording import Recording
+from tapetum.record.recording import Recording, as_recording
 from tapetum.record.smoother import FEWEST, Samples, Smoothed, smooth
 from tapetum.record.source import Frame
 from tapetum.record.spot import GOOD, follow
@@ -183,7 +184,7 @@ def _left_out(samples: Samples) -> np.ndarray:
 
 
 def label_recording(
-    recording: Recording,
+    recording: Recording | str | os.PathLike[str],
     progress: Progress = quiet,
     *,
     probe: str = "probe",
@@ -205,7 +206,7 @@ def label_recording(
     Parameters
     ----------
     recording, probe, target
-        A recording with both streams, and their names.
+        A recording with both streams, or its folder, and their names.
     progress
         Shown over the target's frames.
     offset
@@ -228,6 +229,7 @@ def label_recording(
         raise InputError(f"must be positive, is {widest}", where="widest", remedy="give a part of the field")
     if readout is not None and not 0 <= readout < 1:
         raise InputError(f"must lie from 0 to 1 s, is {readout}", where="readout", remedy="0 for a global shutter")
+    recording = as_recording(recording)
     joined = join(recording, probe, target, offset=offset)
     source = recording.source(target)
     sights = list(progress(source.looked(_look), "finding the laser", total=source.count))

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
-from tapetum.errors import InputError
+from tapetum.errors import InputError, of_type
 from tapetum.record.layout import StreamInfo
 from tapetum.record.source import Frame, Source
 
@@ -133,10 +133,11 @@ def taken(source: Source | Iterable[Frame], stop: threading.Event, seconds: floa
     Raises
     ------
     InputError
-        When the source fails, after the frames that came before.
+        When the source fails or what it gives is no frame, after the frames that came before.
     """
     if not isinstance(source, Source) or not source.live:
-        for frame in source:
+        for number, frame in enumerate(source):
+            of_type(frame, Frame, f"source[{number}]", "give Frames: Frame(n, time, image) for an image of an array")
             if stop.is_set() or (seconds is not None and frame.time >= seconds):
                 return
             yield frame

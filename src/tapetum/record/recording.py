@@ -18,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tapetum.errors import InputError
+from tapetum.errors import InputError, of_type
 from tapetum.record import layout
 from tapetum.record.layout import FRAMES, JOURNAL, LABELS, TRUTH, StreamInfo, is_recording, read_table, write_table
 from tapetum.record.marks import recording_marks
@@ -29,7 +29,15 @@ from tapetum.record.writer import RecordingWriter
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Recording", "RecordingSource", "RecordingWriter", "StreamInfo", "is_recording", "open_recording"]
+__all__ = [
+    "Recording",
+    "RecordingSource",
+    "RecordingWriter",
+    "StreamInfo",
+    "as_recording",
+    "is_recording",
+    "open_recording",
+]
 
 T = TypeVar("T")
 
@@ -259,3 +267,9 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
         for name, value in meta["streams"].items()
     }
     return Recording(place, meta, streams)
+
+
+def as_recording(recording: Recording | str | os.PathLike[str], where: str = "recording") -> Recording:
+    """Return a recording that is open already or, given its path, opened; raises an InputError as `open_recording`."""
+    of_type(recording, (Recording, str, os.PathLike), where, "give its folder NAME.rec, or a recording that is open")
+    return recording if isinstance(recording, Recording) else open_recording(recording)

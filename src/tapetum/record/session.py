@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from tapetum.bench import Target
-from tapetum.errors import InputError
+from tapetum.errors import InputError, number, whole
 from tapetum.record.beats import CameraClock
 from tapetum.record.clutter import Clutter
 from tapetum.record.imaging import Imaging
@@ -16,6 +16,9 @@ from tapetum.record.motion import HandMotion, ProbeShake
 from tapetum.record.stray import Stray
 
 __all__ = ["Placed", "Session"]
+
+# Generous limits in seconds and frames per second, those of `tapetum record`.
+_LONGEST, _FASTEST = 1e6, 1e5
 
 
 @dataclass(frozen=True)
@@ -37,6 +40,14 @@ class Placed:
     distance: float | None = None
     motion: HandMotion = field(default_factory=HandMotion)
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seed", _seed(self.seed))
+
+
+def _seed(value: int) -> int:
+    """Return a seed as the int that a recording keeps; raises an InputError."""
+    return whole(value, "seed", "give 0 or more", least=0, most=2**63 - 1)
 
 
 def _untriggered() -> CameraClock:
@@ -98,8 +109,10 @@ class Session:
         if self.target_rate is not None and not 0 < self.target_rate <= 1000:
             what = f"must lie above 0 and up to 1000 Hz, is {self.target_rate}"
             raise InputError(what, where="target_rate", remedy="give frames per second")
-        if self.seed < 0:
-            raise InputError(f"must not be negative, is {self.seed}", where="seed", remedy="give 0 or more")
+        seconds = number(self.seconds, "seconds", "give a length", above=0, most=_LONGEST)
+        rate = number(self.rate, "rate", "give frames per second", above=0, most=_FASTEST)
+        for name, value in (("seconds", seconds), ("rate", rate), ("seed", _seed(self.seed))):
+            object.__setattr__(self, name, value)
         if not 0 <= self.power_jitter < 0.3:
             what = f"must lie from 0 to 0.3, is {self.power_jitter}"
             raise InputError(what, where="power_jitter", remedy="give the laser's noise in parts of one")

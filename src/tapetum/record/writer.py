@@ -40,6 +40,15 @@ def software() -> dict[str, str]:
     }
 
 
+def _switched(lit: object, where: str) -> bool | None:
+    """Return whether the laser was on as a bool, or None; a 0 or 1 of any integer type is taken as well."""
+    if lit is None:
+        return None
+    if not isinstance(lit, (int, np.integer, np.bool_)) or lit not in (0, 1):
+        raise InputError(f"lit cannot be {lit!r}", where=where, remedy="give True, False or None")
+    return bool(lit)
+
+
 class RecordingWriter:
     """Writes a recording; use it in a `with` block.
 
@@ -191,7 +200,8 @@ class RecordingWriter:
         Raises
         ------
         InputError
-            When the frame does not fit its stream, its clock does not rise, or the disk is full.
+            When the frame does not fit its stream, its clock does not rise, `lit` is something else, or the disk is
+            full.
         """
         if self._closed:
             raise InputError("the recording is closed already", where=self.path)
@@ -206,6 +216,7 @@ class RecordingWriter:
             raise InputError(f"dropped_before must not be negative, is {dropped_before}", where=here)
         if exposure is not None and not 0 <= exposure < math.inf:
             raise InputError(f"exposure must not be negative, is {exposure}", where=here)
+        lit = _switched(lit, here)
         times = (int(monotonic_ns), int(utc_ns), int(dropped_before))
         line = layout.journal_line(stream, video.count, *times, exposure, lit)
         video.write(image, (monotonic_ns - first) / 1e9)
@@ -217,7 +228,10 @@ class RecordingWriter:
 
     def add(self, stream: str, frame: Frame) -> None:
         """Append a frame with known times to a stream: see `write`."""
-        assert frame.monotonic_ns is not None and frame.utc_ns is not None
+        if frame.monotonic_ns is None or frame.utc_ns is None:
+            what = f"utc_ns is {frame.utc_ns} and monotonic_ns is {frame.monotonic_ns}"
+            remedy = "give frames with both times, or write(..., utc_ns=..., monotonic_ns=...)"
+            raise InputError(what, where=f"frame {frame.name or frame.index}", remedy=remedy)
         times = {"monotonic_ns": frame.monotonic_ns, "utc_ns": frame.utc_ns, "dropped_before": frame.lost}
         self.write(stream, frame.image, **times, exposure=frame.exposure, lit=frame.lit)
 

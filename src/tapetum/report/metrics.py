@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 from scipy.stats import binomtest
 
-from tapetum.errors import InputError
+from tapetum.errors import InputError, number
 
 __all__ = [
     "SIGN_THRESHOLD",
@@ -114,6 +114,7 @@ def sign_right(truth: ArrayLike, predicted: ArrayLike, threshold: float = SIGN_T
     threshold
         Fraction of the field.
     """
+    number(threshold, "sign_threshold", "give a fraction of the field", least=0)
     a, b = matched(truth, predicted)
     far = np.abs(a) > threshold
     return int(np.count_nonzero(far & (np.sign(a) == np.sign(b)))), int(np.count_nonzero(far))

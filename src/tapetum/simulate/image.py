@@ -30,7 +30,7 @@ __all__ = ["IMAGE_SUFFIXES", "Image"]
 IMAGE_SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".zarr")
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Image:
     """One or many retro-reflections on the same pixels.
 
@@ -135,17 +135,24 @@ class Image:
         words = html.escape(repr(self)[1:-1])
         return f"<figure>{picture}<figcaption>{words}{more}; square root of the irradiance</figcaption></figure>"
 
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the images to one file.
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+        """Write the images to one file, in place of one that exists, or to a store.
 
         `.npy`: float64 irradiance, [H, W] for one image and [B, H, W] for several. `.tif`: a float32 page an image.
         `.png`: all images beside each other, square root of the irradiance, each to its own peak: to look at, not to
         measure. `.zarr`: irradiance with pitch and metadata.
 
+        Parameters
+        ----------
+        path
+            The file or, by its suffix `.zarr`, the store to write.
+        overwrite
+            Replace a store that this wrote earlier. No other folder ever is.
+
         Raises
         ------
         InputError
-            For another suffix, or a place that cannot be written.
+            For another suffix, a folder that may not be replaced, or a place that cannot be written.
         """
         path = Path(path)
         suffix = path.suffix.lower()
@@ -157,7 +164,7 @@ class Image:
         if suffix == ".zarr":
             import zarr
 
-            with atomic_folder(path, overwrite=True) as part:
+            with atomic_folder(path, "store of images", overwrite=overwrite) as part:
                 group = zarr.open_group(part, mode="w")
                 group.create_array("irradiance", data=images)
                 group.attrs.update({"units": "W/m^2", "pitch_m": self.pitch, **_plain(self.metadata)})

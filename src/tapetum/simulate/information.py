@@ -25,7 +25,7 @@ __all__ = ["PARAMETERS", "FisherInformation", "checked_parameters", "expected_el
 __all__ += ["not_told", "slopes_of", "true_values"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FisherInformation:
     """Fisher information of one frame about some parameters.
 

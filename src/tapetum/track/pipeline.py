@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from tapetum.blas import one_blas_thread
 from tapetum.data.crop import crop, crops_of
-from tapetum.errors import InputError, of_type, one_of
+from tapetum.errors import InputError, of_type, one_of, whole
 from tapetum.interrupts import interruptible
 from tapetum.progress import Progress, quiet
 from tapetum.record.frames import open_frames
@@ -259,8 +259,8 @@ def track(
 
 
 def _check_sizes(batch: int, side: int) -> None:
-    if batch < 1 or side < 1:
-        raise InputError(f"batch {batch} and side {side} must be at least 1", where="track")
+    whole(batch, "batch", "give a number of frames", least=1, most=10**6)
+    whole(side, "side", "give a number of pixels", least=1, most=10**6)
 
 
 def make_detector(name: str, options: Mapping[str, Any] | None = None, side: int = SIDE) -> Detector:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,7 +14,7 @@ from scipy.optimize import minimize
 
 from tapetum.errors import InputError
 from tapetum.track.kalman import NORMAL, Filter, Motion, Series, backward, forward, judged, variance_of
-from tapetum.track.tables import ENDS, check_columns, estimated
+from tapetum.track.tables import ENDS, as_table, check_columns, estimated
 
 __all__ = ["LiveFilter", "Motion", "Series", "Smoothed", "calibrate", "fit_motion", "quantities_in", "series_of"]
 __all__ += ["smooth", "smooth_tracks"]
@@ -289,7 +290,7 @@ def _floats(table: pa.Table, name: str) -> Array:
 
 
 def smooth_tracks(
-    table: pa.Table,
+    table: Any,
     motions: Mapping[str, Motion] | None = None,
     *,
     causal: bool = False,
@@ -301,7 +302,7 @@ def smooth_tracks(
     Parameters
     ----------
     table
-        Of tracks.
+        Of tracks, of Arrow or pandas.
     motions
         By quantity, calibrated ones for instance. Default: fitted to the table itself.
     causal
@@ -321,6 +322,7 @@ def smooth_tracks(
     InputError
         When no quantity has estimates with intervals, or a named one has none.
     """
+    table = as_table(table)
     for name in quantities_in(table, quantities):
         runs = series_of(table, name)
         motion = (motions or {}).get(name) or fit_motion(list(runs.values()), systematic=systematic)

@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 
 from tapetum.durable import sync
-from tapetum.errors import InputError
+from tapetum.errors import InputError, of_type
 from tapetum.files import free_name, reserved, told_when_full
 from tapetum.track.detections import Detections
 from tapetum.track.formats import FORMATS, to_parquet
@@ -109,6 +109,25 @@ def checked_suffix(path: str | os.PathLike[str]) -> str:
     if suffix not in FORMATS:
         raise InputError(f"unknown kind of table {suffix!r}", where=path, remedy=f"use one of {', '.join(FORMATS)}")
     return suffix
+
+
+def as_table(table: Any, where: str = "table") -> pa.Table:
+    """Return a table of tracks or detections as Arrow's, also one of pandas, polars or whatever offers Arrow's columns.
+
+    Known columns get their types again, which pandas changes where values are missing. InputError for anything else.
+    """
+    if isinstance(table, pa.Table):
+        return table
+    if not hasattr(table, "__arrow_c_stream__"):
+        of_type(table, pa.Table, where, "give an Arrow table or a data frame of pandas")
+    try:
+        # pandas' index is no column of a table.
+        taken = pa.table(table).replace_schema_metadata()
+        taken = taken.select([name for name in taken.column_names if not name.startswith("__index_level_")])
+        known = {**_JUDGED, **_STAY, **_FORMER, **_LATER, **_TRACK}
+        return taken.cast(pa.schema([(one.name, known.get(one.name, one.type)) for one in taken.schema]))
+    except (pa.ArrowException, ValueError, TypeError) as error:
+        raise InputError(f"a column has the wrong type ({error})", where=where) from error
 
 
 def check_columns(table: pa.Table, names: Iterable[str], where: object, remedy: str | None = None) -> None:
@@ -259,14 +278,15 @@ def read_tracks(path: str | os.PathLike[str]) -> pa.Table:
     return read_table(path, track_schema())
 
 
-def write_tracks(table: pa.Table, path: str | os.PathLike[str]) -> None:
-    """Write a table of tracks (.parquet, .csv or .jsonl).
+def write_tracks(table: Any, path: str | os.PathLike[str]) -> None:
+    """Write a table of tracks (.parquet, .csv or .jsonl), of Arrow or pandas.
 
     Raises
     ------
     InputError
         When the suffix is another one, or the table lacks a column of tracks.
     """
+    table = as_table(table)
     check_columns(table, _TRACK, "tracks")
     with table_writer(path, table.schema) as writer:
         for row in rows_of_table(table):

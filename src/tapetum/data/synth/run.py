@@ -6,12 +6,13 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from tapetum.data.dataset import FORMAT
 from tapetum.data.synth.parallel import parts_by_processes
 from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.synth.store import Staging
 from tapetum.data.synth.work import keep_part
 from tapetum.errors import InputError
-from tapetum.files import reserved
+from tapetum.files import check_replaceable, reserved
 from tapetum.progress import Progress, quiet
 
 __all__ = ["synthesise"]
@@ -45,7 +46,7 @@ def synthesise(
     progress
         Shown over the parts.
     overwrite
-        Replace an existing store once the new one is complete.
+        Replace an existing dataset once the new one is complete.
     workers
         Older name of `processes`.
 
@@ -68,8 +69,7 @@ def synthesise(
     for name, count in asked.items():
         if isinstance(count, int) and count < 1:
             raise InputError(f"must be positive, is {count}", where=name, remedy="give a number of processes")
-    if out.exists() and not overwrite:
-        raise InputError("exists already", where=out, remedy="choose another name or remove it first")
+    check_replaceable(out, FORMAT, overwrite=overwrite)
     with reserved(out):
         staging = Staging.begin(out, plan)
         done = staging.done()

@@ -78,6 +78,8 @@ class ConvNeXtPico(Network):
             self.stages = nn.Sequential(*stages)
             # timm keeps its last layer here.
             self._modules["head"] = _Head(self.width, outputs)
+        # Whatever torch.set_default_dtype says, before weights are drawn.
+        self.float()
         # On the meta device there are no values to draw, and torch would import its compiler for it: seconds.
         if self.head.weight.is_meta:
             return

@@ -62,6 +62,8 @@ class ResNet18Network(Network):
             self.layer4 = _layer(third, last, 2)
             self.avgpool = nn.AdaptiveAvgPool2d(1)
             self.fc = nn.Linear(last, outputs)
+        # Whatever torch.set_default_dtype says, before weights are drawn.
+        self.float()
         # On the meta device there are no values to draw, and torch would import its compiler for it: seconds.
         if not self.fc.weight.is_meta:
             self._initialise(seed)

@@ -173,18 +173,18 @@ def write_evaluation(
     rrs, rrs_at
         RRs [h, w] beside the path of the gaze, and their frames.
     overwrite
-        Replace an existing folder.
+        Replace a folder that holds an evaluation.
     progress
         Shown over the figures.
 
     Raises
     ------
     InputError
-        When the folder exists or cannot be written.
+        When the folder exists and may not be replaced, or cannot be written.
     """
     numbers = {"format": FORMAT, "version": VERSION, **_heading(outcome, subject), **score(outcome)}
     drawn: list[tuple[Picture, bytes]] = []
-    with atomic_folder(out, overwrite=overwrite) as folder:
+    with atomic_folder(out, FORMAT, overwrite=overwrite) as folder:
         for picture in progress(pictures(outcome, subject.name, rrs, rrs_at), "drawing the figures"):
             data = figure_png(picture.figure)
             (folder / f"{picture.name}.png").write_bytes(data)
