@@ -132,7 +132,7 @@ class PhoneCamera:
         focal, distance = self.scene.probe.lens.focal_length, self.scene.distance
         first = self.units[0][0]
         total = torch.zeros(len(sines), self.output.rows, self.output.columns, dtype=first.real, device=first.device)
-        peaks = []
+        peaks: list[torch.Tensor] = []
         for camera, unit in self.units:
             seen = seen_from_probe(torch.tensor([unit.place], device=sines.device), sines.double()) / distance
             at = focal * seen if centres is None else centres + focal * seen
@@ -208,7 +208,8 @@ class PhoneCamera:
         """
         each = [camera.metadata() for camera, _ in self.units]
         cut = max(one["cut_by_aperture"] for one in each)
-        shares = self._shares.tolist() if bool(self._shares.any()) else [1.0] * len(each)
+        shown = bool(self._shares.any())
+        shares: list[float] = [float(one) if shown else 1.0 for one in self._shares]
         error = sum(one["expected_error"] * share for one, share in zip(each, shares, strict=True) if share)
         whole = all(one["rim_light"] for one in each)
         places = [unit.place for _, unit in self.units]
