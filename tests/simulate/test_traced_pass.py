@@ -26,11 +26,11 @@ from traced_cases import (
     with_mirror_at,
 )
 
-from tapetum.bench import PixelArray, TargetSensor
+from tapetum.bench import PixelArray, TargetSensor, load_scene, with_values
 from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
-from tapetum.simulate import traced_pass
+from tapetum.simulate import Camera, traced_pass
 from tapetum.simulate.pupil_fits import TiltNodes, fit_pupils, values_at
 from tapetum.simulate.sensor_plane import orders_of, reflectance_at
 from tapetum.simulate.surfaces import Mask, Order, Surface
@@ -380,3 +380,21 @@ def test_fast_transforms_give_what_products_give(
     error = float((fast - products).abs().max() / products.abs().max())
     what = f"returning light of {len(orders)} orders by fast transforms"
     validated(SECTION, what, error, 1e-11, "matrix products, phase and all")
+
+
+def test_shifted_microlenses_may_return_more_beside_the_axis_than_on_it() -> None:
+    """The check of the power that returns goes by the strongest amplitude of each order at any place of the spot."""
+    array = {"pitch": 4.4e-6, "fill": 0.562, "shape": "round", "surround": 0.4288, "phase": -0.9795}
+    sensor = {"reflectance": 0.3, "pixels": [648, 486], "pitch": 8.8e-6, "array": array}
+    sensor["microlens"] = {"focal_length": 8.8e-6, "fill": 0.9, "shift": 0.01}
+    lens = {"kind": "prescription", "name": "la1509", "f_number": 16, "design_wavelength": 640e-9}
+    scene = with_values(
+        load_scene("rotation"),
+        {
+            "target": {"lens": lens, "object_distance": 5.5, "sensor": sensor},
+            "probe.sensor.pixels": [64, 64],
+            "sampling.accuracy": 0.03,
+        },
+    )
+    image = Camera(scene, 0.0)(torch.zeros(1, 2, dtype=torch.float64))
+    assert bool((image >= 0).all()) and float(image.max()) > 0

@@ -61,6 +61,11 @@ class Order:
         series = self.series and replace(self.series, coefficients=self.series.coefficients * factor)
         return replace(self, amplitude=self.amplitude * factor, series=series)
 
+    @property
+    def largest(self) -> float:
+        """What its amplitude's modulus nowhere exceeds."""
+        return abs(self.amplitude) if self.series is None else float(abs(self.series.coefficients).sum())
+
     def at(self, places: torch.Tensor) -> torch.Tensor | complex:
         """Its amplitude; [B] where it depends on the places [B, 2] of the spot."""
         return self.amplitude if self.series is None else self.series(places)

@@ -348,7 +348,7 @@ def _planned(
     )
     if pictures >= _PAYS_FROM:
         found = _thinned(scene, light, surface, found, tried, max(wanted, found.error), seen)
-    _check_power(found.usual, tried, sum(abs(order.amplitude) for order in surface.orders) ** 2)
+    _check_power(found.usual, tried, sum(order.largest for order in surface.orders) ** 2)
     return _on_grids(scene, light, surface, found.usual.grids, trial=False), _stated(light, found, seen=seen)
 
 
