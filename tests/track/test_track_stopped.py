@@ -18,6 +18,7 @@ import pytest
 
 from tapetum.cli.app import main
 from tapetum.errors import InputError
+from tapetum.files import reserved
 from tapetum.models.prediction import Prediction
 from tapetum.record.source import Frame
 from tapetum.track import read_tracks, retrack, track_to_file
@@ -128,6 +129,9 @@ def killed(folder: Path, kind: str, processes: BaseContext) -> None:
     process.join()
     assert process.exitcode == -signal.SIGKILL
     left = folder / f"t.unfinished.{'arrow' if kind == 'parquet' else kind}"
+    # The lock of a killed run is hidden, keeps nobody out, and goes with the next run.
+    with reserved(folder / f"t.{kind}"):
+        assert sorted(path.name for path in folder.iterdir()) == sorted([f".t.{kind}.lock", left.name])
     assert list(folder.iterdir()) == [left]
     kept = read_tracks(left)["frame"].to_pylist()
     assert kept == list(range(len(kept)))
