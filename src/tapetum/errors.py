@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import math
 import operator
+from collections.abc import Callable, Iterator
 from types import ModuleType
 from typing import Any
 
@@ -14,6 +16,7 @@ __all__ = [
     "StoppedError",
     "TapetumError",
     "need",
+    "noted",
     "number",
     "of_type",
     "one_of",
@@ -55,6 +58,17 @@ class InputError(TapetumError, ValueError):
 
 class MissingExtraError(InputError):
     """A feature was asked for whose optional packages are not installed."""
+
+
+@contextlib.contextmanager
+def noted(note: Callable[[], str], *kinds: type[BaseException]) -> Iterator[None]:
+    """Add a note, unless it is empty, to errors of these kinds: what interrupted work has kept by then."""
+    try:
+        yield
+    except kinds as error:
+        if said := note():
+            error.add_note(said)
+        raise
 
 
 def need(module: str, extra: str) -> ModuleType:

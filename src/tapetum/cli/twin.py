@@ -14,7 +14,7 @@ from tapetum.cli.calibrate import PageOut
 from tapetum.cli.options import AsJson, Changes, Force, Seed, option
 from tapetum.cli.outputs import check_output, says_what_is_kept
 from tapetum.defaults import SEED
-from tapetum.errors import InputError
+from tapetum.errors import InputError, noted
 from tapetum.files import reserved
 from tapetum.progress import bar
 
@@ -71,8 +71,12 @@ def twin(
 
     names = None if free is None else [one.strip() for one in free.split(",") if one.strip()]
     known = load_scene(scene, changes or ())
-    with reserved(out):
-        with _says_what_is_kept(kept, KeyboardInterrupt):
+
+    def search() -> str:
+        return f"what is done is kept in {kept}, and the same command goes on" if kept.exists() else ""
+
+    with reserved(out), says_what_is_kept():
+        with noted(search, KeyboardInterrupt):
             found = fit_twin(
                 recording,
                 known,
@@ -86,8 +90,7 @@ def twin(
                 state=kept,
                 progress=bar,
             )
-        new = [path for path in files if not path.exists()]
-        with _says_what_is_kept(kept, KeyboardInterrupt, InputError, files=new):
+        with noted(search, KeyboardInterrupt, InputError), _none_half_written(files):
             found.write_page(page)
             found.save_numbers(numbers)
             found.save(out)
@@ -105,14 +108,12 @@ def twin(
 
 
 @contextlib.contextmanager
-def _says_what_is_kept(kept: Path, *kinds: type[BaseException], files: Sequence[Path] = ()) -> Iterator[None]:
-    """Say of errors of these kinds what is kept, and leave none of the new files, which would stop the same command."""
+def _none_half_written(files: Sequence[Path]) -> Iterator[None]:
+    """After a failure leave none of the files that are new: they would stop the same command."""
+    new = [path for path in files if not path.exists()]
     try:
         yield
-    except kinds as error:
-        for path in files:
+    except BaseException:
+        for path in new:
             path.unlink(missing_ok=True)
-        if kept.exists():
-            error.add_note(f"what is done is kept in {kept}, and the same command goes on")
-        with says_what_is_kept():
-            raise
+        raise

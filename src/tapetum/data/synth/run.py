@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from tapetum.data.synth.parallel import parts_by_processes
 from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.synth.store import Staging
 from tapetum.data.synth.work import keep_part
-from tapetum.errors import InputError
+from tapetum.errors import InputError, noted
 from tapetum.files import check_replaceable, reserved
 from tapetum.progress import Progress, quiet
 
@@ -72,29 +71,24 @@ def synthesise(
     check_replaceable(out, FORMAT, overwrite=overwrite)
     with reserved(out):
         staging = Staging.begin(out, plan)
+
+        def kept() -> str:
+            # The folder may have been removed meanwhile.
+            where = f"what is done is kept in {staging.path}, and the same command carries on"
+            return where if staging.stands else ""
+
         done = staging.done()
         missing = [part for part in plan.parts if part.number not in done]
         if missing:
             what = f"filming {plan.kind}" + (f", {len(done)} of {len(plan.parts)} done" if done else "")
             making = _making(plan, staging, missing, processes or workers or 1, cluster)
-            with _says_what_is_kept(staging, KeyboardInterrupt, InputError):
+            with noted(kept, KeyboardInterrupt, InputError):
                 for _ in progress(making, what, total=len(missing)):
                     pass
-        with _says_what_is_kept(staging, KeyboardInterrupt):
+        with noted(kept, KeyboardInterrupt):
             staging.put_together(plan, out, progress=progress, overwrite=overwrite)
         staging.remove()
     return out
-
-
-@contextlib.contextmanager
-def _says_what_is_kept(staging: Staging, *kinds: type[BaseException]) -> Iterator[None]:
-    """Add to errors of these kinds that finished parts stay, if they do."""
-    try:
-        yield
-    except kinds as error:
-        if staging.stands:
-            error.add_note(f"what is done is kept in {staging.path}, and the same command carries on")
-        raise
 
 
 def _making(plan: Plan, staging: Staging, parts: Sequence[Part], processes: int, cluster: str | None) -> Iterator[Part]:
