@@ -9,7 +9,6 @@ from typing import Any
 
 import pyarrow as pa
 
-from tapetum.durable import sole_writer
 from tapetum.errors import InputError, TapetumError
 from tapetum.live.events import Event
 from tapetum.live.outputs.base import Queued
@@ -41,8 +40,7 @@ class Tracks(Queued):
         super().__init__(str(path), states=_WAITING, patience=_PATIENCE)
         schema = track_schema()
         self._stack = ExitStack()
-        self._stack.enter_context(sole_writer(path))
-        # The lock lets its own thread take it again.
+        # The lock that `table_writer` takes lets its own thread take it again.
         if path.absolute() in _open:
             raise InputError("is named twice", where=path, remedy="name it once")
         _open.add(path.absolute())
